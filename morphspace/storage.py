@@ -1,0 +1,176 @@
+"""Files that appear whole or not at all, and the named-array container every binary file of ours uses.
+
+A container is a safetensors file (no pickle, nothing executed on reading) whose header also carries one JSON
+document. It is written to a temporary name, flushed to the disk and renamed; it is read as memory maps, so that
+opening a large model costs milliseconds.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import json
+import os
+import struct
+import tempfile
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from morphspace.arrays import AnyArray
+from morphspace.errors import UnreadableFile, UnwritableFile
+
+ALIGNMENT = 64  # bytes; the data start on a cache line, so that maps of float32 and float64 are aligned
+MAX_HEADER_BYTES = 100_000_000  # the safetensors limit; a larger number means random bytes
+READ_BLOCK = 1 << 20  # bytes read at a time while digesting
+DTYPES = {"F64": np.float64, "F32": np.float32, "F16": np.float16, "I64": np.int64, "I32": np.int32, "U8": np.uint8}
+DTYPE_NAMES = {np.dtype(kind): name for name, kind in DTYPES.items()}
+
+
+@contextlib.contextmanager
+def whole_file(path: Path) -> Iterator[Path]:
+    """Give a temporary name beside `path`; on a clean exit flush it to the disk and rename it to `path`.
+
+    On any exception the temporary file is removed and what stood at `path` before is untouched. Raises
+    `UnwritableFile` where the folder or the disk refuses.
+    """
+    path = Path(path)
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        handle, name = tempfile.mkstemp(prefix=f".{path.name}.", suffix=path.suffix, dir=path.parent)
+        os.close(handle)
+    except OSError as error:
+        raise UnwritableFile(f"cannot write {path}: {error.strerror}; choose another output folder") from error
+    temporary = Path(name)
+    try:
+        yield temporary
+        with temporary.open("rb+") as file:
+            os.fsync(file.fileno())
+        temporary.chmod(0o666 & ~_umask())
+        temporary.replace(path)
+    except OSError as error:
+        raise UnwritableFile(f"cannot write {path}: {error.strerror}; nothing was changed") from error
+    finally:
+        temporary.unlink(missing_ok=True)
+
+
+def _umask() -> int:
+    mask = os.umask(0)
+    os.umask(mask)
+    return mask
+
+
+def write_text(path: Path, text: str) -> None:
+    """Write `text` (UTF-8) to `path`, whole or not at all."""
+    with whole_file(path) as temporary:
+        temporary.write_text(text, encoding="utf-8")
+
+
+def json_text(document: Any) -> str:
+    """Give `document` as JSON text with a fixed key order, so that the same content has the same bytes."""
+    return json.dumps(document, indent=2, sort_keys=True, ensure_ascii=False, allow_nan=False) + "\n"
+
+
+def digest_of_bytes(*parts: bytes | memoryview) -> str:
+    """Give the SHA-256 of the parts in order, in hexadecimal."""
+    digest = hashlib.sha256()
+    for part in parts:
+        digest.update(part)
+    return digest.hexdigest()
+
+
+def digest_of_file(path: Path) -> str:
+    """Give the SHA-256 of a file's bytes, in hexadecimal. Raises `UnreadableFile`."""
+    digest = hashlib.sha256()
+    try:
+        with Path(path).open("rb") as file:
+            while block := file.read(READ_BLOCK):
+                digest.update(block)
+    except OSError as error:
+        raise UnreadableFile(f"cannot read {path}: {error.strerror}") from error
+    return digest.hexdigest()
+
+
+def digest_of_json(document: Any) -> str:
+    """Give the SHA-256 of a JSON document in its canonical text, in hexadecimal."""
+    return digest_of_bytes(json_text(document).encode())
+
+
+def digest_of_array(array: AnyArray) -> str:
+    """Give the SHA-256 of an array's type, shape and bytes, in hexadecimal."""
+    head = f"{array.dtype.str}{array.shape}".encode()
+    return digest_of_bytes(head, np.ascontiguousarray(array).reshape(-1).view(np.uint8).data)
+
+
+def write_container(path: Path, arrays: Mapping[str, AnyArray], document: Mapping[str, Any]) -> None:
+    """Write named arrays and one JSON document as a safetensors file, whole or not at all.
+
+    The document is stored under the header's `__metadata__` as the text of `morphspace`. Arrays are written in the
+    order given, block by block; a memory-mapped array is never read whole. Raises `UnwritableFile`.
+    """
+    header: dict[str, Any] = {"__metadata__": {"morphspace": json_text(document)}}
+    offset = 0
+    for name, array in arrays.items():
+        size = array.dtype.itemsize * array.size
+        header[name] = {
+            "dtype": DTYPE_NAMES[array.dtype],
+            "shape": list(array.shape),
+            "data_offsets": [offset, offset + size],
+        }
+        offset += size
+    text = json.dumps(header, ensure_ascii=False, allow_nan=False).encode()
+    text += b" " * (-(len(text) + 8) % ALIGNMENT)
+    with whole_file(path) as temporary, temporary.open("wb") as file:
+        file.write(struct.pack("<Q", len(text)))
+        file.write(text)
+        for array in arrays.values():
+            flat = array.reshape(-1)
+            step = max(1, READ_BLOCK // array.dtype.itemsize)
+            for start in range(0, flat.size, step):
+                file.write(np.ascontiguousarray(flat[start : start + step]).data)
+
+
+def read_container(path: Path) -> tuple[dict[str, AnyArray], dict[str, Any]]:
+    """Open a container: its arrays as read-only memory maps, and its JSON document.
+
+    Raises `UnreadableFile` where the file is missing, cut short, too long, or not a container of ours.
+    """
+    path = Path(path)
+    try:
+        size = path.stat().st_size
+        with path.open("rb") as file:
+            head = file.read(8)
+            if len(head) < 8:
+                raise UnreadableFile(f"{path} is {size} bytes long, too short for a header: copy it again or rebuild it")
+            (length,) = struct.unpack("<Q", head)
+            if length > min(MAX_HEADER_BYTES, size - 8):
+                raise UnreadableFile(
+                    f"{path} is not a morphspace file: its header claims {length} bytes, the file has {size}"
+                )
+            text = file.read(length)
+        header = json.loads(text)
+        document = json.loads(header.pop("__metadata__")["morphspace"])
+        entries = {
+            name: (np.dtype(DTYPES[entry["dtype"]]), tuple(map(int, entry["shape"])), tuple(map(int, entry["data_offsets"])))
+            for name, entry in header.items()
+        }
+    except OSError as error:
+        raise UnreadableFile(f"cannot read {path}: {error.strerror}") from error
+    except (ValueError, KeyError, TypeError, AttributeError) as error:
+        raise UnreadableFile(f"{path} is not a morphspace file: its header is not readable") from error
+    start = 8 + length
+    arrays: dict[str, AnyArray] = {}
+    end = start
+    for name, (dtype, shape, (first, last)) in entries.items():
+        expected = dtype.itemsize * int(np.prod(shape, dtype=np.int64))
+        if min((0, *shape)) < 0 or first < 0 or last - first != expected:
+            raise UnreadableFile(f"{path}: array {name} of shape {shape} needs {expected} bytes, the header gives {last - first}")
+        end = max(end, start + last)
+        if end > size:
+            raise UnreadableFile(f"{path} is cut short: {end} bytes expected, {size} found; copy it again or rebuild it")
+        arrays[name] = np.memmap(path, dtype=dtype, mode="r", offset=start + first, shape=shape) if expected else np.zeros(shape, dtype)
+    if end != size:
+        raise UnreadableFile(f"{path} is too long: {end} bytes expected, {size} found; copy it again or rebuild it")
+    return arrays, document
