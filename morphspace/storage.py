@@ -1,8 +1,8 @@
 """Files that appear whole or not at all, and the named-array container every binary file of ours uses.
 
 A container is a safetensors file (no pickle, nothing executed on reading) whose header also carries one JSON
-document. It is written to a temporary name, flushed to the disk and renamed; it is read as memory maps, so that
-opening a large model costs milliseconds.
+document. It is written to a temporary name, flushed to the disk and renamed; it is read as memory maps, so
+that opening a large model costs milliseconds.
 """
 
 from __future__ import annotations
@@ -10,6 +10,7 @@ from __future__ import annotations
 import contextlib
 import hashlib
 import json
+import math
 import os
 import struct
 import tempfile
@@ -24,8 +25,16 @@ from morphspace.errors import UnreadableFile, UnwritableFile
 
 ALIGNMENT = 64  # bytes; the data start on a cache line, so that maps of float32 and float64 are aligned
 MAX_HEADER_BYTES = 100_000_000  # the safetensors limit; a larger number means random bytes
+KEPT_NAME = 40  # characters a temporary file keeps of a name, so that it stays within the system's limit
 READ_BLOCK = 1 << 20  # bytes read at a time while digesting
-DTYPES = {"F64": np.float64, "F32": np.float32, "F16": np.float16, "I64": np.int64, "I32": np.int32, "U8": np.uint8}
+DTYPES = {
+    "F64": np.float64,
+    "F32": np.float32,
+    "F16": np.float16,
+    "I64": np.int64,
+    "I32": np.int32,
+    "U8": np.uint8,
+}
 DTYPE_NAMES = {np.dtype(kind): name for name, kind in DTYPES.items()}
 
 
@@ -39,10 +48,14 @@ def whole_file(path: Path) -> Iterator[Path]:
     path = Path(path)
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        handle, name = tempfile.mkstemp(prefix=f".{path.name}.", suffix=path.suffix, dir=path.parent)
+        handle, name = tempfile.mkstemp(
+            prefix=f".{path.stem[:KEPT_NAME]}.", suffix=path.suffix, dir=path.parent
+        )
         os.close(handle)
     except OSError as error:
-        raise UnwritableFile(f"cannot write {path}: {error.strerror}; choose another output folder") from error
+        raise UnwritableFile(
+            f"cannot write {path}: {error.strerror or error}; choose another output folder"
+        ) from error
     temporary = Path(name)
     try:
         yield temporary
@@ -51,7 +64,9 @@ def whole_file(path: Path) -> Iterator[Path]:
         temporary.chmod(0o666 & ~_umask())
         temporary.replace(path)
     except OSError as error:
-        raise UnwritableFile(f"cannot write {path}: {error.strerror}; nothing was changed") from error
+        raise UnwritableFile(
+            f"cannot write {path}: {error.strerror or error}; nothing was changed"
+        ) from error
     finally:
         temporary.unlink(missing_ok=True)
 
@@ -89,7 +104,7 @@ def digest_of_file(path: Path) -> str:
             while block := file.read(READ_BLOCK):
                 digest.update(block)
     except OSError as error:
-        raise UnreadableFile(f"cannot read {path}: {error.strerror}") from error
+        raise UnreadableFile(f"cannot read {path}: {error.strerror or error}") from error
     return digest.hexdigest()
 
 
@@ -107,8 +122,8 @@ def digest_of_array(array: AnyArray) -> str:
 def write_container(path: Path, arrays: Mapping[str, AnyArray], document: Mapping[str, Any]) -> None:
     """Write named arrays and one JSON document as a safetensors file, whole or not at all.
 
-    The document is stored under the header's `__metadata__` as the text of `morphspace`. Arrays are written in the
-    order given, block by block; a memory-mapped array is never read whole. Raises `UnwritableFile`.
+    The document is stored under the header's `__metadata__` as the text of `morphspace`. Arrays are written
+    in the order given, block by block; a memory-mapped array is never read whole. Raises `UnwritableFile`.
     """
     header: dict[str, Any] = {"__metadata__": {"morphspace": json_text(document)}}
     offset = 0
@@ -143,7 +158,9 @@ def read_container(path: Path) -> tuple[dict[str, AnyArray], dict[str, Any]]:
         with path.open("rb") as file:
             head = file.read(8)
             if len(head) < 8:
-                raise UnreadableFile(f"{path} is {size} bytes long, too short for a header: copy it again or rebuild it")
+                raise UnreadableFile(
+                    f"{path} is {size} bytes long, too short for a header: copy it again or rebuild it"
+                )
             (length,) = struct.unpack("<Q", head)
             if length > min(MAX_HEADER_BYTES, size - 8):
                 raise UnreadableFile(
@@ -151,26 +168,44 @@ def read_container(path: Path) -> tuple[dict[str, AnyArray], dict[str, Any]]:
                 )
             text = file.read(length)
         header = json.loads(text)
-        document = json.loads(header.pop("__metadata__")["morphspace"])
-        entries = {
-            name: (np.dtype(DTYPES[entry["dtype"]]), tuple(map(int, entry["shape"])), tuple(map(int, entry["data_offsets"])))
-            for name, entry in header.items()
-        }
+        document = dict(json.loads(header.pop("__metadata__")["morphspace"]))
+        entries = {name: _entry_of(entry) for name, entry in header.items()}
     except OSError as error:
-        raise UnreadableFile(f"cannot read {path}: {error.strerror}") from error
-    except (ValueError, KeyError, TypeError, AttributeError) as error:
+        raise UnreadableFile(f"cannot read {path}: {error.strerror or error}") from error
+    except (ValueError, KeyError, TypeError, AttributeError, OverflowError, RecursionError) as error:
         raise UnreadableFile(f"{path} is not a morphspace file: its header is not readable") from error
     start = 8 + length
     arrays: dict[str, AnyArray] = {}
     end = start
-    for name, (dtype, shape, (first, last)) in entries.items():
-        expected = dtype.itemsize * int(np.prod(shape, dtype=np.int64))
+    for name, (dtype, shape, first, last) in entries.items():
+        expected = dtype.itemsize * math.prod(shape)  # Python's own integers: a header may claim any size
         if min((0, *shape)) < 0 or first < 0 or last - first != expected:
-            raise UnreadableFile(f"{path}: array {name} of shape {shape} needs {expected} bytes, the header gives {last - first}")
+            raise UnreadableFile(
+                f"{path}: array {name} of shape {shape} needs {expected} bytes, "
+                f"the header gives {last - first}"
+            )
         end = max(end, start + last)
         if end > size:
-            raise UnreadableFile(f"{path} is cut short: {end} bytes expected, {size} found; copy it again or rebuild it")
-        arrays[name] = np.memmap(path, dtype=dtype, mode="r", offset=start + first, shape=shape) if expected else np.zeros(shape, dtype)
+            raise UnreadableFile(
+                f"{path} is cut short: {end} bytes expected, {size} found; copy it again or rebuild it"
+            )
+        try:
+            arrays[name] = _mapped(path, dtype, shape, start + first) if expected else np.zeros(shape, dtype)
+        except ValueError as error:  # more dimensions, or longer empty ones, than numpy can hold
+            raise UnreadableFile(
+                f"{path}: array {name} has an impossible shape of {len(shape)} sides"
+            ) from error
     if end != size:
-        raise UnreadableFile(f"{path} is too long: {end} bytes expected, {size} found; copy it again or rebuild it")
+        raise UnreadableFile(
+            f"{path} is too long: {end} bytes expected, {size} found; copy it again or rebuild it"
+        )
     return arrays, document
+
+
+def _entry_of(entry: Any) -> tuple[np.dtype[Any], tuple[int, ...], int, int]:
+    first, last = entry["data_offsets"]
+    return np.dtype(DTYPES[entry["dtype"]]), tuple(map(int, entry["shape"])), int(first), int(last)
+
+
+def _mapped(path: Path, dtype: np.dtype[Any], shape: tuple[int, ...], offset: int) -> AnyArray:
+    return np.memmap(path, dtype=dtype, mode="r", offset=offset, shape=shape)

@@ -1,0 +1,186 @@
+"""What travels beside pictures: who is shown, how fast, with what consent, and where the faceframe lies.
+
+`data_spec/clip-folder.md` describes `clip.json`, `data_spec/faceframe.md` the faceframe file. Keys that are
+not ours are kept as they are, so that a lab can add its own.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from morphspace.arrays import Points
+from morphspace.errors import BadInput, UnreadableFile
+from morphspace.storage import json_text, write_text
+
+FACEFRAME_FORMAT = "morphspace-faceframe"
+FACEFRAME_VERSION = 1
+POINT_NAMES = ("right_eye", "left_eye", "philtrum")
+TEXT_KEYS = ("identity", "consent", "licence")
+
+
+@dataclass(frozen=True, eq=False)
+class MarkedFaceframe:
+    """Three points marked in one image: `points` (3, 2) px, the rows right eye, left eye, philtrum.
+
+    `image` names the picture they were marked in, `size` is its (width, height) px, or None where it is not
+    recorded. Right is the subject's own right, on the left of the picture. Raises `BadInput` for points that
+    are not (3, 2) and finite, lie outside the picture, or are in mirrored order (right eye to the right of
+    the left eye).
+    """
+
+    image: str
+    points: Points
+    size: tuple[int, int] | None = None
+
+    def __post_init__(self) -> None:
+        points = np.array(self.points, np.float64)
+        if points.shape != (3, 2) or not np.isfinite(points).all():
+            raise BadInput(f"the faceframe of {self.image} is not three finite (x, y) points: mark it again")
+        if points[0, 0] >= points[1, 0]:
+            raise BadInput(
+                f"the faceframe of {self.image} has the right eye at x {points[0, 0]:g} and the left eye "
+                f"at x {points[1, 0]:g}: right is the subject's right, on the left of the picture; swap them"
+            )
+        if self.size is not None and ((points < -0.5) | (points > np.array(self.size) - 0.5)).any():
+            raise BadInput(
+                f"the faceframe of {self.image} lies outside its picture of "
+                f"{self.size[0]} x {self.size[1]} pixels: "
+                "mark it again on this picture"
+            )
+        points.setflags(write=False)
+        object.__setattr__(self, "points", points)
+
+
+@dataclass(frozen=True, eq=False)
+class Sidecar:
+    """What `clip.json` tells about a clip; each entry is None where it is not told, `extra` holds the other
+    keys.
+    """
+
+    identity: str | None = None
+    frame_rate_hz: float | None = None
+    consent: str | None = None
+    licence: str | None = None
+    faceframe: MarkedFaceframe | None = None
+    extra: Mapping[str, Any] = field(default_factory=dict)
+
+
+def read_sidecar(path: str | Path) -> Sidecar:
+    """Read a `clip.json`. Raises `UnreadableFile` (not JSON) and `BadInput` (an entry of the wrong kind)."""
+    path = Path(path)
+    document = dict(read_json_object(path))
+    texts = {key: document.pop(key, None) for key in TEXT_KEYS}
+    for key, text in texts.items():
+        if not (text is None or isinstance(text, str)):
+            raise BadInput(f"{path}: {key} is {text!r}, a text was expected")
+    rate_hz = document.pop("frame_rate_hz", None)
+    if rate_hz is not None and not (_is_number(rate_hz) and rate_hz > 0):
+        raise BadInput(f"{path}: frame_rate_hz is {rate_hz!r}, a number above 0 was expected")
+    faceframe = document.pop("faceframe", None)
+    return Sidecar(
+        identity=texts["identity"],
+        frame_rate_hz=None if rate_hz is None else float(rate_hz),
+        consent=texts["consent"],
+        licence=texts["licence"],
+        faceframe=None if faceframe is None else _faceframe_of(path, faceframe, "frame"),
+        extra=document,
+    )
+
+
+def write_sidecar(path: str | Path, sidecar: Sidecar) -> None:
+    """Write a `clip.json`, whole or not at all; what is None is left out. Raises `UnwritableFile`."""
+    document = dict(sidecar.extra)
+    for key in (*TEXT_KEYS, "frame_rate_hz"):
+        if getattr(sidecar, key) is not None:
+            document[key] = getattr(sidecar, key)
+    if sidecar.faceframe is not None:
+        document["faceframe"] = {"frame": sidecar.faceframe.image, **_point_entries(sidecar.faceframe)}
+    write_text(Path(path), json_text(document))
+
+
+def read_faceframe(path: str | Path) -> MarkedFaceframe:
+    """Read a faceframe file. Raises `UnreadableFile` and `BadInput` (format, version, points)."""
+    path = Path(path)
+    document = read_json_object(path)
+    check_format(path, document, FACEFRAME_FORMAT, FACEFRAME_VERSION)
+    return _faceframe_of(path, document, "image")
+
+
+def write_faceframe(path: str | Path, faceframe: MarkedFaceframe) -> None:
+    """Write a faceframe file, whole or not at all. Raises `UnwritableFile`."""
+    document: dict[str, Any] = {
+        "format": FACEFRAME_FORMAT,
+        "version": FACEFRAME_VERSION,
+        "image": faceframe.image,
+        **_point_entries(faceframe),
+    }
+    if faceframe.size is not None:
+        document["size"] = [int(side) for side in faceframe.size]
+    write_text(Path(path), json_text(document))
+
+
+def read_json_object(path: Path) -> dict[str, Any]:
+    """Read a JSON object. Raises `UnreadableFile` where the file is missing or is not one."""
+    try:
+        document = json.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise UnreadableFile(
+            f"cannot read {path}: {error.strerror}; check the name and the permissions"
+        ) from error
+    except (ValueError, RecursionError) as error:
+        raise UnreadableFile(f"{path} is not JSON: {error}; mend it or write it again") from error
+    if not isinstance(document, dict):
+        raise UnreadableFile(
+            f"{path} holds a JSON {type(document).__name__}, an object in braces was expected"
+        )
+    return document
+
+
+def check_format(path: Path, document: Mapping[str, Any], name: str, version: int) -> None:
+    """Refuse another format, and a version newer than this program knows. Raises `BadInput`."""
+    if document.get("format") != name:
+        raise BadInput(f"{path} has the format {document.get('format')!r}, {name!r} was expected")
+    found = document.get("version")
+    if found != version:
+        raise BadInput(
+            f"{path} has version {found!r} of {name}, this program reads {version}: use a matching morphspace"
+        )
+
+
+def _faceframe_of(path: Path, entry: Any, image_key: str) -> MarkedFaceframe:
+    if not isinstance(entry, Mapping):
+        raise BadInput(
+            f"{path}: the faceframe is {entry!r}, an object with {', '.join(POINT_NAMES)} was expected"
+        )
+    points = []
+    for name in POINT_NAMES:
+        point = entry.get(name)
+        if not (isinstance(point, list) and len(point) == 2 and all(map(_is_number, point))):
+            raise BadInput(f"{path}: {name} is {point!r}, [x, y] in pixels was expected")
+        points.append(point)
+    image = entry.get(image_key)
+    if not isinstance(image, str):
+        raise BadInput(
+            f"{path}: {image_key} is {image!r}, the name of the picture the points lie in was expected"
+        )
+    size = entry.get("size")
+    if size is not None and not (
+        isinstance(size, list) and len(size) == 2 and all(type(side) is int and side > 0 for side in size)
+    ):
+        raise BadInput(f"{path}: size is {size!r}, [width, height] in pixels was expected")
+    return MarkedFaceframe(image, np.array(points, np.float64), None if size is None else (size[0], size[1]))
+
+
+def _point_entries(faceframe: MarkedFaceframe) -> dict[str, list[float]]:
+    return dict(zip(POINT_NAMES, faceframe.points.tolist(), strict=True))
+
+
+def _is_number(value: Any) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)

@@ -1,0 +1,106 @@
+"""Serialised faces on the disk, one a row: what lets a build of any number of frames run in fixed memory.
+
+A matrix of n faces by d numbers is written row by row as the faces are made, and read back in blocks of columns,
+because the mean, the Gram matrix and the components are all sums over columns. Plain reads, no memory map: mapped
+pages would count as memory of the process and grow with the number of frames.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from pathlib import Path
+from types import TracebackType
+from typing import Protocol
+
+import numpy as np
+
+from morphspace.arrays import AnyArray, Rows
+
+BLOCK_BYTES = 24 << 20  # a block of columns in float64; several live at once
+
+
+class ColumnBlocks(Protocol):
+    """A matrix (n, d) that can be read in blocks of columns."""
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """(n, d)"""
+        ...
+
+    def columns(self, start: int, stop: int) -> Rows:
+        """Give columns start:stop of all rows, (n, stop - start) float32."""
+        ...
+
+
+class RowFile:
+    """A float32 matrix (n, d) in one raw file, written by rows, read by rows or by blocks of columns."""
+
+    def __init__(self, path: Path, rows: int, width: int) -> None:
+        self.shape = (rows, width)
+        self._file = os.open(path, os.O_RDWR | os.O_CREAT, 0o600)
+        os.ftruncate(self._file, rows * width * 4)
+
+    def __enter__(self) -> RowFile:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, value: BaseException | None, trace: TracebackType | None) -> None:
+        os.close(self._file)
+
+    def write_row(self, index: int, *parts: AnyArray) -> None:
+        """Write one row, given as arrays whose sizes add up to d; safe from several threads for different rows."""
+        offset = index * self.shape[1] * 4
+        for part in parts:
+            data = np.ascontiguousarray(part, np.float32).reshape(-1)
+            self._write(data, offset)
+            offset += data.nbytes
+
+    def _write(self, data: AnyArray, offset: int) -> None:
+        view = memoryview(data).cast("B")
+        while len(view):
+            written = os.pwrite(self._file, view, offset)
+            view, offset = view[written:], offset + written
+
+    def row(self, index: int) -> AnyArray:
+        """Give row `index`, (d,) float32."""
+        out = np.empty(self.shape[1], np.float32)
+        os.preadv(self._file, [memoryview(out).cast("B")], index * out.nbytes)
+        return out
+
+    def columns(self, start: int, stop: int) -> Rows:
+        """Give columns start:stop of all rows, (n, stop - start) float32."""
+        out = np.empty((self.shape[0], stop - start), np.float32)
+        for index, row in enumerate(out):
+            os.preadv(self._file, [memoryview(row).cast("B")], (index * self.shape[1] + start) * 4)
+        return out
+
+
+class RowArray:
+    """A matrix (n, d) that is in memory already, read in the same way as a `RowFile`."""
+
+    def __init__(self, values: Rows) -> None:
+        self.values = values
+        self.shape = (values.shape[0], values.shape[1])
+
+    def columns(self, start: int, stop: int) -> Rows:
+        """Give columns start:stop of all rows, (n, stop - start)."""
+        return self.values[:, start:stop]
+
+
+class RowSubset:
+    """Some rows of another matrix, in the order given, as a matrix of their own (for cross-validation)."""
+
+    def __init__(self, rows: ColumnBlocks, indices: AnyArray) -> None:
+        self.rows, self.indices = rows, indices
+        self.shape = (len(indices), rows.shape[1])
+
+    def columns(self, start: int, stop: int) -> Rows:
+        """Give columns start:stop of the chosen rows."""
+        return self.rows.columns(start, stop)[self.indices]
+
+
+def column_ranges(rows: int, start: int, stop: int) -> Iterator[tuple[int, int]]:
+    """Cut columns start:stop into ranges whose blocks of `rows` rows take `BLOCK_BYTES` in float64."""
+    step = max(256, BLOCK_BYTES // (8 * max(rows, 1)))
+    for first in range(start, stop, step):
+        yield first, min(first + step, stop)
