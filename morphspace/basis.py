@@ -53,29 +53,23 @@ class Basis:
 
     def expand(self, loadings: AnyArray) -> AnyArray:
         """Give the mean-relative vectors (..., d) float32 of loadings (..., k): Nagle's R = P l."""
-        return _expand(np.asarray(loadings, np.float32), self.components)
+        return np.asarray(np.asarray(loadings, np.float32) @ self.components)
 
     def truncate(self, components: int) -> Basis:
         """Keep the first `components`; the variance of the others is added to what is discarded."""
         if not 0 <= components <= self.rank:
             raise BadInput(f"cannot keep {components} components of {self.rank}: choose 0 to {self.rank}")
         effective = max(1, int((self.weight > 0).sum()) - components)
-        left_out = self.discarded_variance * max(1, effective + components - self.rank) + self.variances[components:].sum()
-        return Basis(
-            self.components[:components], self.variances[:components], self.weight, float(left_out / effective)
+        left_out = (
+            self.discarded_variance * max(1, effective + components - self.rank)
+            + self.variances[components:].sum()
         )
-
-
-EXPAND_BLOCK = 8192  # columns; the block of the result stays in the first cache while the components stream past
-
-
-def _expand(loadings: AnyArray, components: Rows) -> AnyArray:
-    if loadings.ndim != 1:
-        return np.asarray(loadings @ components)
-    out = np.empty(components.shape[1], np.float32)
-    for start in range(0, out.size, EXPAND_BLOCK):
-        np.matmul(loadings, components[:, start : start + EXPAND_BLOCK], out=out[start : start + EXPAND_BLOCK])
-    return out
+        return Basis(
+            self.components[:components],
+            self.variances[:components],
+            self.weight,
+            float(left_out / effective),
+        )
 
 
 def mean_row(rows: ColumnBlocks) -> AnyArray:

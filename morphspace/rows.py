@@ -44,7 +44,9 @@ class RowFile:
     def __enter__(self) -> RowFile:
         return self
 
-    def __exit__(self, kind: type[BaseException] | None, value: BaseException | None, trace: TracebackType | None) -> None:
+    def __exit__(
+        self, kind: type[BaseException] | None, value: BaseException | None, trace: TracebackType | None
+    ) -> None:
         os.close(self._file)
 
     def write_row(self, index: int, *parts: AnyArray) -> None:

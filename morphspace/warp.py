@@ -21,7 +21,9 @@ from morphspace.arrays import Affine, AnyArray, Displacement, Image, Mask, Point
 SPLINE_POLE = np.sqrt(3.0) - 2.0  # of the cubic B-spline's inverse filter
 SPLINE_TAPS = 15  # a side; the pole to this power is 3e-9, below float32
 EDGE_TOLERANCE = 1e-4  # cells; a pixel on a shared edge belongs to both triangles, so that no crack opens
-MARGIN_PX = 2.0  # beyond the largest displacement: the ring of cells that continues the field outside the grid
+MARGIN_PX = (
+    2.0  # beyond the largest displacement: the ring of cells that continues the field outside the grid
+)
 
 
 def sample(image: Image, displacement: Displacement) -> Image:
@@ -84,7 +86,11 @@ def _spline_pairs(position: AnyArray) -> tuple[AnyArray, AnyArray, AnyArray, Any
 
 def _linear(image: AnyArray, x: AnyArray, y: AnyArray) -> AnyArray:
     out: AnyArray = cv2.remap(
-        image, x.astype(np.float32, copy=False), y.astype(np.float32, copy=False), cv2.INTER_LINEAR, borderMode=cv2.BORDER_REFLECT_101
+        image,
+        x.astype(np.float32, copy=False),
+        y.astype(np.float32, copy=False),
+        cv2.INTER_LINEAR,
+        borderMode=cv2.BORDER_REFLECT_101,
     )
     return out
 
@@ -200,7 +206,9 @@ class _Cells:
         busy = np.flatnonzero(count)
         count = count[busy]
         cell = np.repeat(busy, count)
-        place = np.arange(cell.size, dtype=np.int32) - np.repeat(np.cumsum(count, dtype=np.int32) - count, count)
+        place = np.arange(cell.size, dtype=np.int32) - np.repeat(
+            np.cumsum(count, dtype=np.int32) - count, count
+        )
         row, column = np.divmod(place, wide[cell])
         return cell, first_x[cell] + column, first_y[cell] + row
 
@@ -246,7 +254,9 @@ def _least_stretched_first(target: AnyArray, stretch: AnyArray, covered: AnyArra
 
 
 def _filled_from_nearest(field: AnyArray, missing: AnyArray) -> AnyArray:
-    _, labels = cv2.distanceTransformWithLabels(missing.astype(np.uint8), cv2.DIST_L2, 5, labelType=cv2.DIST_LABEL_PIXEL)
+    _, labels = cv2.distanceTransformWithLabels(
+        missing.astype(np.uint8), cv2.DIST_L2, 5, labelType=cv2.DIST_LABEL_PIXEL
+    )
     known = np.flatnonzero(~missing.ravel())
     source = np.zeros(labels.max() + 1, np.int64)
     source[labels.ravel()[known]] = known

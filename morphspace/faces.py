@@ -1,0 +1,248 @@
+"""Frames of a face and how they are brought to the reference: framing, registration, faceframe, mask.
+
+Rigid head movement must not end up in the warp fields (Nagle section 2), so each frame is first moved by a similarity
+that was fitted on the rigid part of the face. The movement is kept with the frame, so that a rendered face can be put
+back where it came from.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import cv2
+import numpy as np
+
+from morphspace import warp
+from morphspace.arrays import Affine, AnyArray, Image, Mask, Points
+from morphspace.errors import BadInput
+from morphspace.flow.baselines import dis_medium, grey_codes
+
+RegistrationKind = Literal["none", "similarity", "affine"]
+REGISTRATION_KINDS: tuple[RegistrationKind, ...] = ("none", "similarity", "affine")
+
+# Where a face stands in a frame cropped to it, as shares of the frame's width and height: centre x, y, half axes x, y.
+FACE_ELLIPSE = (0.50, 0.52, 0.37, 0.42)
+RIGID_ELLIPSE = (0.50, 0.48, 0.27, 0.19)  # brow to nose
+# The same two, measured from a faceframe: in eye-to-eye distances (x) and eye-to-philtrum distances (y).
+FACE_FROM_FACEFRAME = (0.0, 0.55, 1.25, 2.0)
+RIGID_FROM_FACEFRAME = (0.0, 0.15, 1.0, 0.75)
+SOFT_EDGE = 0.15  # of the radius, over which a mask falls from 1 to 0
+REGISTRATION_PASSES = (
+    2  # the second measures the flow again on the aligned frame, where it is small and exact
+)
+ROBUST_PASSES = 20  # of reweighting; the weights stop changing after about ten
+SCALE_FLOOR_PX = 0.2  # residuals below this are flow noise, not expression
+CORNER_WINDOW_PX = 7
+CORNER_PERCENTILE = 80  # texture above this percentile of the rigid part counts in full
+
+
+@dataclass(frozen=True, eq=False)
+class FaceFrame:
+    """Nagle's faceframe: three points (x, y) px that place a face (sections 3 and 4, step 4).
+
+    `right_eye` is the subject's right, on the image's left.
+    """
+
+    right_eye: tuple[float, float]
+    left_eye: tuple[float, float]
+    philtrum: tuple[float, float]
+
+    @property
+    def points(self) -> Points:
+        """The three points in order, (3, 2) float64 px."""
+        return np.array([self.right_eye, self.left_eye, self.philtrum], np.float64)
+
+    def moved(self, points: Points) -> FaceFrame:
+        """Give a faceframe with these three points (3, 2)."""
+        right, left, lip = (tuple(map(float, point)) for point in points)
+        return FaceFrame(right, left, lip)  # type: ignore[arg-type]
+
+
+@dataclass(frozen=True, eq=False)
+class Framing:
+    """How a source image becomes a model frame: crop, then scale to cover the size and crop to the middle.
+
+    `source_size` (w, h) px of the images; `crop` (x, y, w, h) px or None for the whole; `size` (w, h) px of the
+    model's frames. Raises `BadInput` for a crop that leaves the image.
+    """
+
+    source_size: tuple[int, int]
+    crop: tuple[int, int, int, int] | None
+    size: tuple[int, int]
+
+    def __post_init__(self) -> None:
+        x, y, w, h = self.box
+        width, height = self.source_size
+        if x < 0 or y < 0 or w < 1 or h < 1 or x + w > width or y + h > height:
+            raise BadInput(
+                f"crop {x},{y},{w},{h} leaves the image of {width}x{height}: give x,y,w,h inside it"
+            )
+        if min(self.size) < MIN_SIDE_PX:
+            raise BadInput(
+                f"frames of {self.size[0]}x{self.size[1]} are too small for a face: at least "
+                f"{MIN_SIDE_PX}x{MIN_SIDE_PX}, better 200x240"
+            )
+
+    @property
+    def box(self) -> tuple[int, int, int, int]:
+        """The crop (x, y, w, h) px, the whole image where none was asked for."""
+        return self.crop or (0, 0, *self.source_size)
+
+    @property
+    def scaled_size(self) -> tuple[int, int]:
+        """The size (w, h) px of the crop once it is scaled to cover `size`."""
+        _, _, w, h = self.box
+        scale = max(self.size[0] / w, self.size[1] / h)
+        return max(self.size[0], round(w * scale)), max(self.size[1], round(h * scale))
+
+    @property
+    def cut_off(self) -> tuple[int, int]:
+        """How many scaled pixels the middle crop takes away in x and in y."""
+        return self.scaled_size[0] - self.size[0], self.scaled_size[1] - self.size[1]
+
+    def apply(self, image: Image) -> Image:
+        """Give the model frame (h, w, 3) of a source image: averaged over areas where it shrinks."""
+        x, y, w, h = self.box
+        image = image[y : y + h, x : x + w]
+        if self.scaled_size != (w, h):
+            shrinks = self.scaled_size[0] < w
+            method = cv2.INTER_AREA if shrinks else cv2.INTER_CUBIC
+            image = cv2.resize(image, self.scaled_size, interpolation=method)
+        left, top = self.cut_off[0] // 2, self.cut_off[1] // 2
+        return np.ascontiguousarray(image[top : top + self.size[1], left : left + self.size[0]])
+
+    @property
+    def to_source(self) -> Affine:
+        """The affine (2, 3) that maps a point of the model frame to the source image."""
+        x, y, w, h = self.box
+        scale = np.array([w / self.scaled_size[0], h / self.scaled_size[1]])
+        corner = np.array([self.cut_off[0] // 2, self.cut_off[1] // 2]) + 0.5
+        return np.column_stack([np.diag(scale), scale * corner - 0.5 + (x, y)])
+
+
+MIN_SIDE_PX = 32  # below it the coarsest flow level has nothing to hold on to
+
+
+@dataclass(frozen=True, eq=False)
+class Frame:
+    """One image of a face on the reference's grid: image (h, w, 3) | name | registration.
+
+    `registration` (2, 3) maps a point of the aligned image to the model frame as it was before alignment.
+    """
+
+    image: Image
+    name: str
+    registration: Affine
+
+
+def aligned(image: Image, name: str, registration: Affine) -> Frame:
+    """Bring a model frame to the reference: aligned(p) = image(registration p)."""
+    if np.array_equal(registration, identity_affine()):
+        return Frame(image, name, registration)
+    height, width = image.shape[:2]
+    return Frame(
+        warp.sample(image, warp.affine_displacement(registration, height, width)), name, registration
+    )
+
+
+def identity_affine() -> Affine:
+    """Give the affine (2, 3) that moves nothing."""
+    return np.eye(2, 3)
+
+
+def register(reference: Image, image: Image, kind: RegistrationKind, region: Mask) -> Affine:
+    """Fit the head movement between the reference and an image, (2, 3): reference(p) ~ image(A p) on the rigid part.
+
+    Dense flow gives the matches; `region` (h, w) says where the rigid part of the face lies; texture says where the
+    flow can be believed; reweighted least squares (Geman and McClure's weights) leave out what moves by itself.
+    """
+    total = identity_affine()
+    if kind == "none":
+        return total
+    points, weights = _anchor_points(reference, region)
+    if weights.sum() <= 0:
+        return total
+    current = image
+    for _ in range(REGISTRATION_PASSES):
+        field = dis_medium(reference, current)
+        x, y = points[:, 0].astype(np.intp), points[:, 1].astype(np.intp)
+        step = _robust_affine(points, points + field[y, x], weights, kind)
+        total = warp.chain_affine(total, step)
+        current = aligned(image, "", total).image
+    return total
+
+
+def _anchor_points(reference: Image, region: Mask) -> tuple[Points, AnyArray]:
+    corners = cv2.cornerMinEigenVal(grey_codes(reference), CORNER_WINDOW_PX)
+    full = np.percentile(corners[region > 0.5], CORNER_PERCENTILE) if (region > 0.5).any() else 0.0
+    weight = region * np.minimum(corners / full, 1) if full > 0 else np.zeros_like(region)
+    y, x = np.nonzero(weight > 1e-3)
+    return np.column_stack([x, y]).astype(np.float64), weight[y, x].astype(np.float64)
+
+
+def _robust_affine(source: Points, target: Points, prior: AnyArray, kind: RegistrationKind) -> Affine:
+    fit = _similarity if kind == "similarity" else _affine
+    weight = prior
+    found = identity_affine()
+    for _ in range(ROBUST_PASSES):
+        found = fit(source, target, weight)
+        residual = np.hypot(*(target - warp.apply_affine(found, source)).T)
+        scale = max(SCALE_FLOOR_PX, 1.4826 * float(np.median(residual)))
+        weight = prior / (1 + (residual / scale) ** 2) ** 2
+    return found
+
+
+def _similarity(source: Points, target: Points, weight: AnyArray) -> Affine:
+    """Fit scale, turn and shift by weighted least squares (Umeyama 1991, without reflection)."""
+    from_mean, to_mean = (
+        np.average(source, axis=0, weights=weight),
+        np.average(target, axis=0, weights=weight),
+    )
+    a, b = source - from_mean, target - to_mean
+    spread = (weight * (a * a).sum(axis=1)).sum()
+    cosine = (weight * (a * b).sum(axis=1)).sum() / spread
+    sine = (weight * (a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0])).sum() / spread
+    linear = np.array([[cosine, -sine], [sine, cosine]])
+    return np.column_stack([linear, to_mean - linear @ from_mean])
+
+
+def _affine(source: Points, target: Points, weight: AnyArray) -> Affine:
+    root = np.sqrt(weight)[:, None]
+    design = np.column_stack([source, np.ones(len(source))])
+    solution, *_ = np.linalg.lstsq(design * root, target * root, rcond=None)
+    return np.asarray(solution.T)
+
+
+def face_mask(height: int, width: int, faceframe: FaceFrame | None = None) -> Mask:
+    """Give a soft ellipse over the face, (h, w) in [0, 1]: by the faceframe, else where a cropped face stands."""
+    return _soft_ellipse(height, width, FACE_ELLIPSE, FACE_FROM_FACEFRAME, faceframe)
+
+
+def rigid_region(height: int, width: int, faceframe: FaceFrame | None = None) -> Mask:
+    """Give a soft ellipse over the part of the face that moves with the skull, brow to nose, (h, w) in [0, 1]."""
+    return _soft_ellipse(height, width, RIGID_ELLIPSE, RIGID_FROM_FACEFRAME, faceframe)
+
+
+def _soft_ellipse(
+    height: int,
+    width: int,
+    of_frame: tuple[float, float, float, float],
+    of_faceframe: tuple[float, float, float, float],
+    faceframe: FaceFrame | None,
+) -> Mask:
+    y, x = np.mgrid[:height, :width].astype(np.float64)
+    if faceframe is None:
+        centre_x, centre_y, half_x, half_y = np.array(of_frame) * (width, height, width, height)
+        across, down = x - centre_x, y - centre_y
+    else:
+        right, left, lip = faceframe.points
+        eyes = (right + left) / 2
+        axis_x, axis_y = left - right, lip - eyes
+        unit_x, unit_y = axis_x / np.hypot(*axis_x), axis_y / np.hypot(*axis_y)
+        half_x, half_y = of_faceframe[2] * np.hypot(*axis_x), of_faceframe[3] * np.hypot(*axis_y)
+        centre = eyes + of_faceframe[0] * axis_x + of_faceframe[1] * axis_y
+        across = (x - centre[0]) * unit_x[0] + (y - centre[1]) * unit_x[1]
+        down = (x - centre[0]) * unit_y[0] + (y - centre[1]) * unit_y[1]
+    radius = np.sqrt((across / half_x) ** 2 + (down / half_y) ** 2)
+    return np.clip((1 - radius) / SOFT_EDGE + 0.5, 0, 1).astype(np.float32)

@@ -1,0 +1,87 @@
+"""Stock flow estimators from OpenCV and scikit-image, behind the one flow type: what a build can stand on today.
+
+Each was tried on real clips before its settings were chosen (docs/benchmarks.md). All work on grey images, so their
+fields are noisy where skin is flat; a morph does not forgive that, because texture and warp must agree, so every field
+is smoothed by a Gaussian whose width is a fixed share of the image. DeepFlow (Weinzaepfel et al., ICCV 2013) gave the
+best models of the four; DIS (Kroeger et al., ECCV 2016) is several times faster.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import cv2
+import numpy as np
+
+from morphspace.arrays import AnyArray, Displacement, Image
+from morphspace.errors import BadInput
+from morphspace.flow import FlowFunction
+
+SMOOTHING = 0.02  # of the image's width; the sd that gave the best held-out faces of 0, 1, 2 and 3 %
+LUMA = np.float32([0.299, 0.587, 0.114])  # ITU-R BT.601
+
+
+def grey_codes(image: Image) -> AnyArray:
+    """Give the luma of an image (h, w, 3) as (h, w) uint8, which is what OpenCV's estimators take."""
+    return np.clip(image @ LUMA * 255 + 0.5, 0, 255).astype(np.uint8)
+
+
+def deepflow(reference: Image, frame: Image, start: Displacement | None = None) -> Displacement:
+    """Estimate the flow by OpenCV's DeepFlow, smoothed. It has no use for a start."""
+    estimator = cv2.optflow.createOptFlow_DeepFlow()
+    return smoothed(estimator.calc(grey_codes(reference), grey_codes(frame), None))
+
+
+def dis(reference: Image, frame: Image, start: Displacement | None = None) -> Displacement:
+    """Estimate the flow by dense inverse search with hard settings: full resolution, 50 descents, smoothed."""
+    estimator = cv2.DISOpticalFlow_create(cv2.DISOPTICAL_FLOW_PRESET_MEDIUM)
+    estimator.setFinestScale(0)
+    estimator.setPatchSize(12)
+    estimator.setPatchStride(3)
+    estimator.setGradientDescentIterations(50)
+    estimator.setVariationalRefinementIterations(20)
+    estimator.setVariationalRefinementAlpha(60.0)  # three times the stock smoothness: flat skin
+    return smoothed(_searched(estimator, reference, frame, start))
+
+
+def dis_medium(reference: Image, frame: Image, start: Displacement | None = None) -> Displacement:
+    """Estimate the flow by dense inverse search as its preset "medium" has it, unsmoothed: rough, and fast."""
+    estimator = cv2.DISOpticalFlow_create(cv2.DISOPTICAL_FLOW_PRESET_MEDIUM)
+    return _searched(estimator, reference, frame, start)
+
+
+def _searched(estimator: object, reference: Image, frame: Image, start: Displacement | None) -> Displacement:
+    begin = None if start is None else np.array(start, np.float32)
+    field: Displacement = estimator.calc(grey_codes(reference), grey_codes(frame), begin)  # type: ignore[attr-defined]
+    return field
+
+
+def tvl1(reference: Image, frame: Image, start: Displacement | None = None) -> Displacement:
+    """Estimate the flow by scikit-image's TV-L1 (Zach, Pock and Bischof 2007), smoothed. It takes no start."""
+    from skimage.registration import optical_flow_tvl1
+
+    down, right = optical_flow_tvl1(reference @ LUMA, frame @ LUMA, dtype=np.float32)
+    return smoothed(np.stack([right, down], axis=-1))
+
+
+def smoothed(field: Displacement) -> Displacement:
+    """Smooth a field (h, w, 2) by a Gaussian of `SMOOTHING` times its width; the edge is mirrored."""
+    sd_px = SMOOTHING * field.shape[1]
+    out: Displacement = cv2.GaussianBlur(field, (0, 0), sd_px, borderType=cv2.BORDER_REFLECT_101)
+    return out
+
+
+STOCK: dict[str, Callable[[Image, Image, Displacement | None], Displacement]] = {
+    "deepflow": deepflow,
+    "dis": dis,
+    "dis-medium": dis_medium,
+    "tvl1": tvl1,
+}
+DEFAULT = "deepflow"
+
+
+def named(name: str) -> FlowFunction:
+    """Give the estimator of this name. Raises `BadInput` for a name that is not in `STOCK`."""
+    if name not in STOCK:
+        raise BadInput(f"there is no flow called {name!r}: choose one of {', '.join(sorted(STOCK))}")
+    return STOCK[name]

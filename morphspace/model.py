@@ -1,0 +1,349 @@
+"""The face model: mean morph, components, variances (Nagle section 2), and what is needed to use them again.
+
+A model knows the reference and how frames were brought to it, so that a new image of the same person can be encoded,
+and it carries where it came from, so that a stimulus can be traced to its input files.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from morphspace import fitting, warp
+from morphspace.arrays import Affine, AnyArray, Displacement, Image, LoadingTable, LoadingVector, Mask
+from morphspace.basis import Basis
+from morphspace.errors import BadInput, ModelFileError, ReferenceMismatch, UnreadableFile
+from morphspace.faces import (
+    REGISTRATION_KINDS,
+    FaceFrame,
+    Frame,
+    RegistrationKind,
+    aligned,
+    register,
+    rigid_region,
+)
+from morphspace.flow import FlowFunction, baselines
+from morphspace.morph import Morph, MorphOffset, morph_of, parts_of, resource, vector_of
+from morphspace.storage import digest_of_array, digest_of_json, read_container, write_container
+
+FORMAT = "morphspace-model"
+FORMAT_VERSION = 1
+ARRAY_DIMENSIONS = {
+    "components": 2,
+    "variances": 1,
+    "mean_texture": 3,
+    "mean_displacement": 3,
+    "mean_inverse": 3,
+    "mask": 2,
+    "reference": 3,
+    "training_loadings": 2,
+}
+
+
+@dataclass(frozen=True, eq=False)
+class Loadings:
+    """Faces as coordinates: values (n, k), one row a frame, on the components of the model `model_id`."""
+
+    values: LoadingTable
+    frame_names: tuple[str, ...]
+    model_id: str
+
+    def __post_init__(self) -> None:
+        if self.values.ndim != 2 or len(self.values) != len(self.frame_names):
+            raise BadInput(
+                f"loadings of shape {self.values.shape} do not fit {len(self.frame_names)} frame names: one row a frame"
+            )
+
+    def in_sd(self, model: MorphModel) -> LoadingTable:
+        """Give the loadings in SD of each component, (n, k). Raises `ReferenceMismatch` for another model."""
+        if self.model_id != model.model_id:
+            raise ReferenceMismatch(
+                f"these loadings belong to model {self.model_id}, this is model {model.model_id}: encode the "
+                "images with this model"
+            )
+        return self.values / model.sd[: self.values.shape[1]]
+
+
+@dataclass(frozen=True, eq=False)
+class MorphModel:
+    """A controllable face.
+
+    `mean` Morph | `basis` on vectors (5 h w,) in the order of `morph.vector_of` | `warp_weight` s, colour per px |
+    `mask` (h, w) | `reference` (h, w, 3), the image all flow starts from | `mean_inverse` (h, w, 2) px, from the mean
+    face to the reference | `faceframe` on the mean face, or None | `training` Loadings | `registration` and `flow`, by
+    name, as the build used them | `provenance`, a JSON document: identity, settings, versions, digests, consent.
+    """
+
+    mean: Morph
+    basis: Basis
+    warp_weight: float
+    mask: Mask
+    reference: Image
+    mean_inverse: Displacement
+    faceframe: FaceFrame | None
+    reference_faceframe: FaceFrame | None
+    training: Loadings
+    registration: RegistrationKind
+    flow: str
+    provenance: Mapping[str, Any]
+
+    @property
+    def model_id(self) -> str:
+        """The digest that names this model's components; tables of loadings refer to it."""
+        return self.training.model_id
+
+    @property
+    def identity(self) -> str:
+        """Who the model shows."""
+        return str(self.provenance["identity"])
+
+    @property
+    def rank(self) -> int:
+        """The number of components."""
+        return self.basis.rank
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """The size (w, h) px of its frames."""
+        return self.mask.shape[1], self.mask.shape[0]
+
+    @property
+    def sd(self) -> AnyArray:
+        """The standard deviation (k,) of the training faces along each component."""
+        return np.sqrt(self.basis.variances)
+
+    @property
+    def mean_vector(self) -> AnyArray:
+        """The mean morph as a vector (5 h w,)."""
+        return vector_of(self.mean.texture, self.mean.displacement)
+
+    def align(self, image: Image, name: str = "image") -> Frame:
+        """Bring an image (h, w, 3) of the model's size to the reference, as the build did with its frames."""
+        self._check_size(image, name)
+        region = rigid_region(*self.mask.shape, self.reference_faceframe)
+        return aligned(image, name, register(self.reference, image, self.registration, region))
+
+    def morph_of(self, image: Image, flow: FlowFunction | None = None) -> Morph:
+        """Take an aligned image apart on the mean face: flow from the reference, re-sourced, then its texture."""
+        self._check_size(image, "image")
+        field = (flow or baselines.named(self.flow))(self.reference, image, None)
+        return morph_of(image, resource(field, self.mean_inverse), self.mean.reference_id)
+
+    def project(self, morph: Morph) -> LoadingVector:
+        """Give the loadings (k,) of a morph: inner products of its offset with the components (Nagle section 3.3)."""
+        offset = morph - self.mean
+        return self.basis.project(vector_of(offset.texture, offset.displacement))
+
+    def encode(self, image: Image, *, name: str = "image") -> Loadings:
+        """Give the loadings of an image (h, w, 3) of the model's size: align, project, fit to the picture."""
+        return self.encode_aligned(self.align(image, name))
+
+    def encode_aligned(self, frame: Frame) -> Loadings:
+        """Give the loadings of a frame that is aligned already: the projection, refined by `fitting.fit_loadings`."""
+        start = self.project(self.morph_of(frame.image))
+        fit = fitting.fit_loadings(frame.image, self.mean_vector, self.basis, self.mask, start)
+        return Loadings(fit.loadings[None], (frame.name,), self.model_id)
+
+    def expand(self, loadings: AnyArray) -> Morph:
+        """Give the morph of loadings (k,), or of the first so many: mean + P l (Nagle section 2, steps 1 and 2)."""
+        values = np.asarray(loadings, np.float64).reshape(-1)
+        if len(values) > self.rank or not np.isfinite(values).all():
+            raise BadInput(
+                f"{len(values)} loadings do not fit a model of {self.rank} components, or are not finite numbers"
+            )
+        basis = self.basis if len(values) == self.rank else self.basis.truncate(len(values))
+        texture, displacement = parts_of(basis.expand(values), *self.mask.shape)
+        return self.mean + MorphOffset(displacement, texture, self.mean.reference_id)
+
+    def render(self, loadings: AnyArray) -> Image:
+        """Give the image (h, w, 3) of loadings (k,), or of the first so many; zeros give the mean face."""
+        return self.expand(loadings).render()
+
+    def sample(self, rng: np.random.Generator, count: int) -> Loadings:
+        """Draw faces from the normal distribution of the training faces: loadings (count, k)."""
+        values = rng.standard_normal((count, self.rank)) * self.sd
+        return Loadings(values, tuple(f"sample_{i:04d}" for i in range(count)), self.model_id)
+
+    def truncate(self, components: int) -> MorphModel:
+        """Give the model of the first `components` only. Its loadings are the first ones of this model."""
+        basis = self.basis.truncate(components)
+        model_id = digest_of_json([self.model_id, components])[:16]
+        training = Loadings(self.training.values[:, :components], self.training.frame_names, model_id)
+        return replace(self, basis=basis, training=training)
+
+    def placed(self, rendered: Image, original: Image, registration: Affine) -> Image:
+        """Put a rendered face back into the original image (H, W, 3), inside the mask, softly.
+
+        `registration` maps the rendered image's points to the original's; hair, background and size stay.
+        """
+        height, width = original.shape[:2]
+        back = warp.affine_displacement(warp.inverse_affine(registration), height, width)
+        face = warp.sample(rendered, back)
+        inside = warp.sample_field(self.mask, back)
+        x, y = warp.positions(back)
+        w, h = self.size
+        inside = np.where((x >= 0) & (x <= w - 1) & (y >= 0) & (y <= h - 1), inside, 0)[..., None]
+        out: Image = (original + inside * (face - original)).astype(np.float32)
+        return out
+
+    def _check_size(self, image: Image, name: str) -> None:
+        if image.shape != self.reference.shape:
+            raise BadInput(
+                f"{name} is {image.shape[1]}x{image.shape[0]}, the model's frames are {self.size[0]}x{self.size[1]}: "
+                "scale or crop it first"
+            )
+
+    def save(self, path: Path | str) -> None:
+        """Write the model as a `.morph` file, whole or not at all (data_spec/model-file.md)."""
+        write_container(Path(path), self._arrays(), self._document())
+
+    def _arrays(self) -> dict[str, AnyArray]:
+        return {
+            "components": self.basis.components,
+            "variances": self.basis.variances,
+            "mean_texture": self.mean.texture,
+            "mean_displacement": self.mean.displacement,
+            "mean_inverse": self.mean_inverse,
+            "mask": self.mask,
+            "reference": self.reference,
+            "training_loadings": self.training.values,
+        }
+
+    def _document(self) -> dict[str, Any]:
+        return {
+            "format": FORMAT,
+            "version": FORMAT_VERSION,
+            "model_id": self.model_id,
+            "reference_id": self.mean.reference_id,
+            "warp_weight": self.warp_weight,
+            "discarded_variance": self.basis.discarded_variance,
+            "faceframe": points_document(self.faceframe),
+            "reference_faceframe": points_document(self.reference_faceframe),
+            "training_frames": list(self.training.frame_names),
+            "registration": self.registration,
+            "flow": self.flow,
+            "provenance": dict(self.provenance),
+        }
+
+
+def points_document(faceframe: FaceFrame | None) -> dict[str, list[float]] | None:
+    """Give a faceframe as the three named points that files hold, or None."""
+    if faceframe is None:
+        return None
+    names = ("right_eye", "left_eye", "philtrum")
+    return {name: list(map(float, point)) for name, point in zip(names, faceframe.points, strict=True)}
+
+
+def inner_product(mask: Mask, warp_weight: float) -> AnyArray:
+    """Give the weights (5 h w,) of <a, b> = sum mask texture + s^2 sum mask displacement (methods 4)."""
+    texture = np.repeat(mask.reshape(-1), 3)
+    displacement = np.repeat(mask.reshape(-1), 2) * np.float32(warp_weight**2)
+    return np.concatenate([texture, displacement]).astype(np.float32)
+
+
+def model_digest(basis: Basis, mean: Morph, provenance: Mapping[str, Any]) -> str:
+    """Give the name of a model: 16 hexadecimal digits of the SHA-256 of what defines its loadings."""
+    parts = [digest_of_array(a) for a in (basis.variances, mean.texture, mean.displacement)]
+    parts += [digest_of_array(np.ascontiguousarray(row)) for row in basis.components]
+    return digest_of_json([parts, dict(provenance)])[:16]
+
+
+def load_model(path: Path | str) -> MorphModel:
+    """Open a `.morph` file; the components stay on the disk and are read when they are used.
+
+    Raises `ModelFileError` where the file is cut short, of a future version, or its arrays do not fit each other.
+    """
+    path = Path(path)
+    try:
+        arrays, document = read_container(path)
+    except UnreadableFile as error:
+        raise ModelFileError(str(error)) from error
+    _check_header(path, document, arrays)
+    try:
+        return _assembled(arrays, document)
+    except (KeyError, TypeError, ValueError, BadInput) as error:
+        raise ModelFileError(
+            f"{path} does not hold together ({error}): copy it again or rebuild it"
+        ) from error
+
+
+def _check_header(path: Path, document: Mapping[str, Any], arrays: Mapping[str, AnyArray]) -> None:
+    if document.get("format") != FORMAT:
+        raise ModelFileError(
+            f"{path} is a {document.get('format')!r} file, not a {FORMAT!r}: give a .morph model"
+        )
+    version = document.get("version")
+    if version != FORMAT_VERSION:
+        raise ModelFileError(
+            f"{path} has format version {version}, this morphspace reads version {FORMAT_VERSION}: "
+            "install the morphspace that wrote it"
+        )
+    for name, dimensions in ARRAY_DIMENSIONS.items():
+        if name not in arrays or arrays[name].ndim != dimensions:
+            found = arrays[name].shape if name in arrays else "nothing"
+            raise ModelFileError(
+                f"{path}: {name} should have {dimensions} axes, found {found}; copy it again or rebuild it"
+            )
+    height, width = arrays["mask"].shape
+    k = len(arrays["variances"])
+    frames = len(document.get("training_frames", ()))
+    expected = {
+        "components": (k, 5 * height * width),
+        "mean_texture": (height, width, 3),
+        "mean_displacement": (height, width, 2),
+        "mean_inverse": (height, width, 2),
+        "reference": (height, width, 3),
+        "training_loadings": (frames, k),
+    }
+    for name, shape in expected.items():
+        if arrays[name].shape != shape:
+            raise ModelFileError(
+                f"{path}: {name} has shape {arrays[name].shape}, {shape} expected; copy it again or rebuild it"
+            )
+    if document.get("registration") not in REGISTRATION_KINDS:
+        raise ModelFileError(
+            f"{path}: registration {document.get('registration')!r} is not one of {', '.join(REGISTRATION_KINDS)}"
+        )
+
+
+def _assembled(arrays: Mapping[str, AnyArray], document: Mapping[str, Any]) -> MorphModel:
+    """Build the model from a checked header. Small arrays are read; the components stay mapped."""
+    small = {name: np.array(array) for name, array in arrays.items() if name != "components"}
+    reference_id = str(document["reference_id"])
+    warp_weight = float(document["warp_weight"])
+    mask = small["mask"]
+    basis = Basis(
+        arrays["components"],
+        small["variances"],
+        inner_product(mask, warp_weight),
+        float(document["discarded_variance"]),
+    )
+    return MorphModel(
+        mean=Morph(small["mean_displacement"], small["mean_texture"], reference_id),
+        basis=basis,
+        warp_weight=warp_weight,
+        mask=mask,
+        reference=small["reference"],
+        mean_inverse=small["mean_inverse"],
+        faceframe=_faceframe(document["faceframe"]),
+        reference_faceframe=_faceframe(document["reference_faceframe"]),
+        training=Loadings(
+            small["training_loadings"], tuple(document["training_frames"]), str(document["model_id"])
+        ),
+        registration=document["registration"],
+        flow=str(document["flow"]),
+        provenance=dict(document["provenance"]),
+    )
+
+
+def _faceframe(entry: Mapping[str, Any] | None) -> FaceFrame | None:
+    if entry is None:
+        return None
+    right, left, lip = (
+        (float(x), float(y)) for x, y in (entry["right_eye"], entry["left_eye"], entry["philtrum"])
+    )
+    return FaceFrame(right, left, lip)
