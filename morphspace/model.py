@@ -143,8 +143,12 @@ class MorphModel:
         return self.encode_aligned(self.align(image, name))
 
     def encode_aligned(self, frame: Frame) -> Loadings:
-        """Give the loadings of a frame that is aligned already: the projection, refined by `fitting.fit_loadings`."""
-        start = self.project(self.morph_of(frame.image))
+        """Give the loadings of a frame that is aligned already."""
+        return self.fit(frame, self.morph_of(frame.image))
+
+    def fit(self, frame: Frame, morph: Morph) -> Loadings:
+        """Give the loadings of an aligned frame and its morph: the projection, refined by `fitting.fit_loadings`."""
+        start = self.project(morph)
         fit = fitting.fit_loadings(frame.image, self.mean_vector, self.basis, self.mask, start)
         return Loadings(fit.loadings[None], (frame.name,), self.model_id)
 

@@ -85,13 +85,11 @@ def _spline_pairs(position: AnyArray) -> tuple[AnyArray, AnyArray, AnyArray, Any
 
 
 def _linear(image: AnyArray, x: AnyArray, y: AnyArray) -> AnyArray:
-    out: AnyArray = cv2.remap(
-        image,
-        x.astype(np.float32, copy=False),
-        y.astype(np.float32, copy=False),
-        cv2.INTER_LINEAR,
-        borderMode=cv2.BORDER_REFLECT_101,
-    )
+    """Read an image linearly at (x, y). OpenCV rounds positions to 1/32 px for two channels: those go one by one."""
+    if image.ndim == 3 and image.shape[2] == 2:
+        return np.stack([_linear(np.ascontiguousarray(image[..., c]), x, y) for c in range(2)], axis=-1)
+    x, y = x.astype(np.float32, copy=False), y.astype(np.float32, copy=False)
+    out: AnyArray = cv2.remap(image, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REFLECT_101)
     return out
 
 

@@ -176,11 +176,12 @@ class Actor:
             field[slit], covered[slit] = shift, hidden
         fx, fy = cx + field[..., 0], cy + field[..., 1]
         over_x, over_y, over = seen.upper_at(fx, fy)
-        under_x, under_y, under = seen.lower_at(fx, fy)
-        same_upper = np.hypot(over_x - cx, over_y - cy) < SAME_PX
-        same_lower = np.hypot(under_x - cx, under_y - cy) < SAME_PX
-        shown = np.where(on_upper, same_upper, same_lower & ((over < 0) | same_upper))
-        shown = np.where(inside, (over < 0) & (under < 0) & ~covered, shown)
+        shown = np.hypot(over_x - cx, over_y - cy) < SAME_PX
+        rest = ~on_upper
+        under_x, under_y, under = (part[:, 0] for part in seen.lower_at(fx[rest, None], fy[rest, None]))
+        free = over[rest] < 0
+        same = np.hypot(under_x - cx[rest], under_y - cy[rest]) < SAME_PX
+        shown[rest] = np.where(inside[rest], free & (under < 0) & ~covered[rest], same & (free | shown[rest]))
         px, py = fx - self.margin, fy - self.margin
         out_x = motion[0, 0] * px + motion[0, 1] * py + motion[0, 2]
         out_y = motion[1, 0] * px + motion[1, 1] * py + motion[1, 2]
@@ -211,8 +212,7 @@ class Actor:
     def _layer_covers(self, name: str, x: AnyArray, y: AnyArray) -> AnyArray:
         if x.size == 0:
             return np.zeros(0, bool)
-        cover = np.ascontiguousarray(self.interior.layer(name)[..., 3])
-        return np.asarray(look_up(cover, x[:, None], y[:, None])[:, 0] > 0.5)
+        return np.asarray(look_up(self.interior.layer(name), x[:, None], y[:, None])[:, 0, 3] > 0.5)
 
     def _keypoints(
         self, expression: Expression, upper: Displacement, lower: Displacement, motion: Affine

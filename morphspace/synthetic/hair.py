@@ -54,7 +54,8 @@ class Hair:
         ragged = 0.5 if style in ("short", "cropped") else 1.0
         whole = smooth((edge + ragged * (0.010 * coarse + 0.010 * lie)) / 0.04 * 0.5 + 0.5)
         line = _hairline(identity, x, part, style)
-        softness = 0.045 if style != "cropped" else 0.07
+        steep = np.hypot(1.0, np.gradient(line, axis=1) * unit)  # the curtain's edge is nearly upright
+        softness = (0.045 if style != "cropped" else 0.07) * np.clip(0.6 * steep, 1.0, 4.0)
         on_head = smooth((line - y + 0.030 * lie + 0.025 * coarse) / softness * 0.5 + 0.5)
         self.front = (whole * on_head).astype(np.float32)
         self.behind = whole * np.float32(style in ("long", "parted"))

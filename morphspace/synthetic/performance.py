@@ -53,8 +53,8 @@ BLINK_FRAMES = 5  # from open to open
 def expression_sequence(frames: int, rng: np.random.Generator) -> list[Expression]:
     """Give a smooth varied performance of `frames` expressions that starts at rest.
 
-    The poses of `POSES` come in an order, size and mixture drawn from `rng`, with blinks and small wandering of
-    every action on top. With 25 frames or more every action is shown, to a quarter or more of its range; a
+    The poses of `POSES` come in an order, size and mixture drawn from `rng`, with blinks and small wandering
+    of every action on top. With 25 frames or more every action is shown, to a quarter of its range or more; a
     longer sequence takes about `FRAMES_PER_POSE` frames for each pose and goes through the list again. Ours.
     """
     if frames < 1:

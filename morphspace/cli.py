@@ -1,0 +1,310 @@
+"""The command line: turns words into requests, shows progress, prints outcomes, and sets the exit code.
+
+Exit 0 when it was done, 2 for something the user can mend, 1 for a failure of ours, 130 when interrupted. Nothing heavy
+is imported before a verb runs, so that help is instant.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+import sys
+from collections.abc import Callable
+from functools import wraps
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from morphspace import __version__
+from morphspace.errors import BadInput, MorphspaceError
+
+if TYPE_CHECKING:
+    from morphspace.progress import Step, Steps
+    from morphspace.verbs.outcome import Outcome
+
+PROGRESS_AFTER_S = 2.0
+INTERRUPTED = 130
+
+
+class Numbers(click.ParamType):
+    """A fixed count of whole numbers written with a separator, such as 200x240 or 10,20,200,240."""
+
+    def __init__(self, name: str, count: int, separator: str) -> None:
+        self.name, self.count, self.separator = name, count, separator
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> tuple[int, ...]:
+        if isinstance(value, tuple):
+            return value
+        parts = re.split(f"[{self.separator}]", value)
+        if len(parts) != self.count or not all(re.fullmatch(r"\d{1,6}", part) for part in parts):
+            self.fail(f"{value!r} is not {self.name}: write {self.count} whole numbers, such as {self.example}")
+        return tuple(map(int, parts))
+
+    @property
+    def example(self) -> str:
+        """How such a value looks."""
+        return {2: "200x240", 4: "10,20,200,240"}[self.count]
+
+
+SIZE = Numbers("WxH", 2, "xX")
+CROP = Numbers("X,Y,W,H", 4, ",")
+
+
+class WeightOrAuto(click.ParamType):
+    """A number, or the word auto (None)."""
+
+    name = "auto|NUMBER"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float | None:
+        if value == "auto":
+            return None
+        try:
+            return float(value)
+        except ValueError:
+            self.fail(f"{value!r} is neither auto nor a number")
+
+
+@click.group(context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100})
+@click.version_option(__version__, prog_name="morphspace")
+def main() -> None:
+    """Controllable face models for psychophysics, from clips or photographs.
+
+    Start with `morphspace demo`, or with your own frames: `morphspace build-model clips/*.png`.
+    """
+
+
+def verb(command: Callable[..., Steps[Outcome]]) -> Callable[..., None]:
+    """Give a command the options all verbs share, and run the steps it returns."""
+
+    @click.option("--quiet", is_flag=True, help="Print nothing but errors.")
+    @click.option("--json", "as_json", is_flag=True, help="Print the outcome as JSON, for machines.")
+    @click.option("--debug", is_flag=True, help="Show a traceback when something fails.")
+    @wraps(command)
+    def wrapped(*args: Any, quiet: bool, as_json: bool, debug: bool, **options: Any) -> None:
+        try:
+            outcome = _driven(command(*args, **options), quiet or as_json)
+        except KeyboardInterrupt:
+            if debug:
+                raise
+            _fail("stopped; nothing half-written is left. The same command goes on where it can", INTERRUPTED)
+        except MorphspaceError as error:
+            if debug:
+                raise
+            _fail(str(error), 2 if isinstance(error, BadInput) else 1)
+        except Exception as error:  # noqa: BLE001 - the border: whatever escapes is a fault of ours, told in one line
+            if debug:
+                raise
+            _fail(f"a fault of morphspace ({type(error).__name__}: {error}); run again with --debug and report it", 1)
+        _show(outcome, quiet, as_json)
+
+    return wrapped
+
+
+def _driven(steps: Steps[Outcome], silent: bool) -> Outcome:
+    """Run the steps with a progress bar a stage; bars appear only for work of more than two seconds."""
+    from morphspace.progress import result_of
+
+    if silent:
+        return result_of(steps)
+    from tqdm import tqdm
+
+    bars: dict[str, Any] = {}
+
+    def on_step(step: Step) -> None:
+        if step.stage not in bars:
+            for bar in bars.values():
+                bar.close()
+            bars[step.stage] = tqdm(
+                desc=step.stage, total=step.total, delay=PROGRESS_AFTER_S, leave=False, file=sys.stderr, unit=""
+            )
+        bars[step.stage].update(step.done - bars[step.stage].n)
+
+    try:
+        return result_of(steps, on_step)
+    finally:
+        for bar in bars.values():
+            bar.close()
+
+
+def _show(outcome: Outcome, quiet: bool, as_json: bool) -> None:
+    for warning in outcome.warnings:
+        if not quiet:
+            click.echo(f"note: {warning}", err=True)
+    if as_json:
+        document = {**outcome.document, "warnings": list(outcome.warnings)}
+        click.echo(json.dumps(document, indent=2, sort_keys=True))
+    elif not quiet:
+        for line in outcome.lines:
+            click.echo(line)
+
+
+def _fail(message: str, code: int) -> None:
+    click.echo(f"morphspace: {' '.join(message.split())}", err=True)
+    sys.exit(code)
+
+
+MODEL = click.argument("model", type=click.Path(path_type=Path))
+SOURCES = click.argument("clip", nargs=-1, required=True)
+CROPPED = click.option("--crop", type=CROP, help="Cut this box out of every frame first, px.")
+
+
+@main.command("build-model")
+@SOURCES
+@click.option("-o", "--output", type=click.Path(path_type=Path), help="The .morph file [default: the clip's name].")
+@click.option("-k", "--components", default=50, show_default=True, help="The most components to keep.")
+@click.option("--size", type=SIZE, help="Model frame size; scales to cover and crops to the middle.")
+@CROPPED
+@click.option("--mask", type=click.Path(path_type=Path), help="Grey picture on the reference, white where the face is.")
+@click.option("--reference", metavar="FILE", help="The reference frame [default: chosen, and said why].")
+@click.option(
+    "--register",
+    "registration",
+    type=click.Choice(["none", "similarity", "affine"]),
+    default="similarity",
+    show_default=True,
+    help="How head movement is taken out.",
+)
+@click.option(
+    "--flow",
+    type=click.Choice(["deepflow", "dis", "dis-medium", "tvl1"]),
+    default="deepflow",
+    show_default=True,
+    help="The flow estimator.",
+)
+@click.option(
+    "--warp-weight",
+    type=WeightOrAuto(),
+    default="auto",
+    show_default=True,
+    help="Colour per px of warp in the inner product; auto cross-validates.",
+)
+@click.option("--work-dir", "work_folder", type=click.Path(path_type=Path), help="Keep finished frames here.")
+@click.option("--identity", help="Who it is [default: from clip.json, else the clip's name].")
+@click.option("--report", type=click.Path(path_type=Path), help="The HTML report [default: beside the model].")
+@verb
+def build_model(clip: tuple[str, ...], **options: Any) -> Steps[Outcome]:
+    """Build a face model from CLIP: image files, a folder, a quoted glob, or a video."""
+    from morphspace.verbs import build_model as verb_module
+
+    return verb_module.run(verb_module.BuildModelRequest(sources=clip, **options))
+
+
+@main.command("info")
+@MODEL
+@verb
+def info(model: Path) -> Steps[Outcome]:
+    """Tell what MODEL is, where it came from, and whether its file is whole."""
+    from morphspace.verbs import info as verb_module
+
+    return verb_module.run(verb_module.InfoRequest(model))
+
+
+@main.command("encode")
+@MODEL
+@SOURCES
+@click.option("-o", "--output", type=click.Path(path_type=Path), required=True, help="The loadings table (.csv).")
+@CROPPED
+@verb
+def encode(model: Path, clip: tuple[str, ...], **options: Any) -> Steps[Outcome]:
+    """Take the images of CLIP apart into a table of loadings on MODEL, in SD."""
+    from morphspace.verbs import encode as verb_module
+
+    return verb_module.run(verb_module.EncodeRequest(model=model, sources=clip, **options))
+
+
+@main.command("render")
+@MODEL
+@click.argument("table", type=click.Path(path_type=Path))
+@click.option(
+    "-o",
+    "--output",
+    type=click.Path(path_type=Path),
+    required=True,
+    help="A folder of images, or a video: .mkv lossless, .mp4 for people.",
+)
+@click.option("--gain", default=1.0, show_default=True, help="Multiply all loadings: above 1 caricatures.")
+@click.option("--frame-rate", "frame_rate_hz", type=click.FloatRange(1, 1000), help="Frames a second of a video.")
+@verb
+def render(model: Path, table: Path, **options: Any) -> Steps[Outcome]:
+    """Draw the faces of a TABLE of loadings with MODEL."""
+    from morphspace.verbs import render as verb_module
+
+    return verb_module.run(verb_module.RenderRequest(model=model, table=table, **options))
+
+
+@main.command("reconstruct")
+@MODEL
+@SOURCES
+@click.option("-o", "--output", type=click.Path(path_type=Path), required=True, help="The folder to write into.")
+@click.option("-k", "--components", type=int, help="Use only the first components [default: all].")
+@CROPPED
+@verb
+def reconstruct(model: Path, clip: tuple[str, ...], **options: Any) -> Steps[Outcome]:
+    """Put every image of CLIP together again from its loadings, beside the original, with figures."""
+    from morphspace.verbs import reconstruct as verb_module
+
+    return verb_module.run(verb_module.ReconstructRequest(model=model, sources=clip, **options))
+
+
+@main.command("sample")
+@MODEL
+@click.option("-o", "--output", type=click.Path(path_type=Path), required=True, help="The folder to write into.")
+@click.option("-n", "--count", default=16, show_default=True, help="How many faces.")
+@click.option("--seed", default=0, show_default=True, help="The same seed gives the same faces.")
+@click.option("--spread", default=1.0, show_default=True, help="Scale of the distribution; 1 is the model's own.")
+@verb
+def sample(model: Path, **options: Any) -> Steps[Outcome]:
+    """Draw faces at random from MODEL."""
+    from morphspace.verbs import sample as verb_module
+
+    return verb_module.run(verb_module.SampleRequest(model=model, **options))
+
+
+@main.command("sweep")
+@MODEL
+@click.option("-o", "--output", type=click.Path(path_type=Path), required=True, help="The folder to write into.")
+@click.option("-k", "--components", default=10, show_default=True, help="How many components.")
+@click.option("-n", "--amount-sd", default=3.0, show_default=True, help="From minus to plus so many SD.")
+@click.option("--steps", default=7, show_default=True, help="Faces in a strip.")
+@verb
+def sweep(model: Path, **options: Any) -> Steps[Outcome]:
+    """Show what each component of MODEL does, as strips and videos."""
+    from morphspace.verbs import sweep as verb_module
+
+    return verb_module.run(verb_module.SweepRequest(model=model, **options))
+
+
+@main.command("make-actors")
+@click.option("-o", "--output", type=click.Path(path_type=Path), required=True, help="The folder to write into.")
+@click.option("--identities", default=4, show_default=True, help="How many drawn people.")
+@click.option("--portraits", default=0, show_default=True, help="How many animated photographs, besides.")
+@click.option("--frames", default=60, show_default=True, help="Frames of each clip.")
+@click.option("--seed", default=1, show_default=True, help="The same seed draws the same people.")
+@click.option("--size", type=SIZE, default="200x240", show_default=True, help="Size of the frames, px.")
+@click.option("--head-motion", "head_motion_px", default=0.0, show_default=True, help="Rigid head movement, px.")
+@click.option("--light-change", default=0.0, show_default=True, help="Change of light over the clip, share.")
+@click.option("--noise", "noise_sd", default=0.0, show_default=True, help="Sensor noise, sd in colour (0 to 1).")
+@verb
+def make_actors(**options: Any) -> Steps[Outcome]:
+    """Draw actors with exact truth: clip folders, and the truth beside them."""
+    from morphspace.verbs import make_actors as verb_module
+
+    return verb_module.run(verb_module.MakeActorsRequest(**options))
+
+
+@main.command("demo")
+@click.option(
+    "-o",
+    "--output",
+    type=click.Path(path_type=Path),
+    default="morphspace-demo",
+    show_default=True,
+    help="The folder to write into.",
+)
+@verb
+def demo(output: Path) -> Steps[Outcome]:
+    """Draw actors, build their models, render, and write a page to open: the whole path in a minute."""
+    from morphspace.verbs import demo as verb_module
+
+    return verb_module.run(verb_module.DemoRequest(output))

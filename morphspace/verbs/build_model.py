@@ -1,0 +1,242 @@
+"""build-model: from a clip or photographs of one person to a controllable face model."""
+
+from __future__ import annotations
+
+import shutil
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from morphspace.arrays import Mask
+from morphspace.build import COMPONENTS, Build, BuildSettings, build_steps
+from morphspace.errors import BadInput
+from morphspace.faces import FaceFrame, Framing, RegistrationKind
+from morphspace.files.clips import Clip, open_clip
+from morphspace.files.framed import FramedClip
+from morphspace.files.images import read_mask
+from morphspace.flow import baselines
+from morphspace.model import MorphModel
+from morphspace.progress import Steps, result_of
+from morphspace.report import measure_frames, write_report
+from morphspace.storage import digest_of_array
+from morphspace.verbs.outcome import Outcome, check_folder, versions
+from morphspace.warp import apply_affine, inverse_affine
+
+DEFAULT_SIDE_PX = 400  # frames larger than this are scaled to cover 200 x 240 unless a size is given
+DEFAULT_SIZE = (200, 240)  # Nagle section 2
+
+
+@dataclass(frozen=True)
+class BuildModelRequest:
+    """What to build a model from, and how.
+
+    `sources` a folder, a glob, a video or files; `output` the .morph file, None for one named after the clip;
+    `report` the page, None for one beside the model; `components` the most to keep; `size` (w, h) px or None for the
+    frames' own (200 x 240 where they are larger than 400 px); `crop` (x, y, w, h) px; `mask` a grey picture of the
+    reference's size, white where the face is; `reference` a frame's name or file, None to choose; `warp_weight` colour
+    per px, None to cross-validate; `work_folder` kept when given, else beside the output and removed at the end.
+    """
+
+    sources: tuple[str, ...]
+    output: Path | None = None
+    report: Path | None = None
+    components: int = COMPONENTS
+    size: tuple[int, int] | None = None
+    crop: tuple[int, int, int, int] | None = None
+    mask: Path | None = None
+    reference: str | None = None
+    registration: RegistrationKind = "similarity"
+    flow: str = baselines.DEFAULT
+    warp_weight: float | None = None
+    work_folder: Path | None = None
+    identity: str | None = None
+
+
+def run(request: BuildModelRequest) -> Steps[Outcome]:
+    """Build the model, write it and its report. Returns an `Outcome`."""
+    clip = open_clip(request.sources)
+    output = request.output or Path(f"{clip.name}.morph")
+    report = request.report or output.with_suffix(".html")
+    check_folder(output.parent)
+    check_folder(report.parent)
+    work_folder = request.work_folder or output.with_name(output.name + ".work")
+    check_folder(work_folder)
+    build, notes = yield from build_clip(clip, request, work_folder)
+    figures = yield from measure_frames(build)
+    build.model.save(output)
+    write_report(report, build, figures)
+    if request.work_folder is None:
+        shutil.rmtree(work_folder)
+    model = build.model
+    psnr = np.array(figures.psnr_db)
+    share = explained_variance(model)
+    lines = (
+        f"{output}: {model.identity}, {len(clip)} frames, {model.size[0]}x{model.size[1]}, "
+        f"{model.rank} components ({share:.1%} of the variance)",
+        f"reference {build.choice.name}: {build.choice.reason}",
+        f"training frames come back at {np.median(psnr):.1f} dB (median), {np.percentile(psnr, 10):.1f} dB (10th "
+        f"percentile); {build.fold_fractions.mean():.2%} of the warp folds",
+        f"report: {report}",
+    )
+    document = {
+        "model": str(output),
+        "report": str(report),
+        "model_id": model.model_id,
+        "identity": model.identity,
+        "frames": len(clip),
+        "size": list(model.size),
+        "components": model.rank,
+        "variance_explained": share,
+        "reference": build.choice.name,
+        "warp_weight": model.warp_weight,
+        "psnr_db_median": float(np.median(psnr)),
+        "psnr_db_10th_percentile": float(np.percentile(psnr, 10)),
+        "fold_fraction": float(build.fold_fractions.mean()),
+    }
+    return Outcome(lines, document, (*notes, *build.warnings), (output, report))
+
+
+def build_clip(clip: Clip, request: BuildModelRequest, work_folder: Path) -> Steps[tuple[Build, tuple[str, ...]]]:
+    """Build from an open clip; give the build, and notes on what was done to the frames."""
+    check_request(request)
+    framing = Framing(clip.size, request.crop, request.size or default_size(clip.size, request.crop))
+    source = FramedClip(clip, framing)
+    notes = []
+    if max(framing.cut_off) > 0:
+        notes.append(
+            f"frames of {framing.box[2]}x{framing.box[3]} are scaled to {framing.scaled_size[0]}x"
+            f"{framing.scaled_size[1]} and cropped to the middle {framing.size[0]}x{framing.size[1]}"
+        )
+    mask, mask_digest = _mask(request.mask, framing, clip.size)
+    faceframe, faceframe_index = _faceframe(clip, framing)
+    settings = BuildSettings(
+        components=request.components,
+        registration=request.registration,
+        flow=request.flow,
+        reference=None if request.reference is None else _index_of(request.reference, clip),
+        warp_weight=request.warp_weight,
+        mask=mask,
+        faceframe=faceframe,
+        faceframe_index=faceframe_index,
+    )
+    build = yield from build_steps(source, settings, work_folder, _provenance(clip, source, request, mask_digest))
+    return build, tuple(notes)
+
+
+def build_model(
+    *sources: str | Path,
+    components: int = COMPONENTS,
+    size: tuple[int, int] | None = None,
+    crop: tuple[int, int, int, int] | None = None,
+    mask: Path | None = None,
+    reference: str | None = None,
+    registration: RegistrationKind = "similarity",
+    flow: str = baselines.DEFAULT,
+    warp_weight: float | None = None,
+    work_folder: Path | None = None,
+    identity: str | None = None,
+) -> MorphModel:
+    """Build a model from a folder, a glob, a video or image files; the parameters are those of `BuildModelRequest`.
+
+    Nothing is written but the work folder, which is temporary unless one is given. Raises `BadInput` and its children.
+    """
+    import tempfile
+
+    request = BuildModelRequest(
+        sources=tuple(map(str, sources)),
+        components=components,
+        size=size,
+        crop=crop,
+        mask=mask,
+        reference=reference,
+        registration=registration,
+        flow=flow,
+        warp_weight=warp_weight,
+        identity=identity,
+    )
+    clip = open_clip(request.sources)
+    if work_folder is not None:
+        build, _ = result_of(build_clip(clip, request, work_folder))
+        return build.model
+    with tempfile.TemporaryDirectory(prefix="morphspace-") as folder:
+        build, _ = result_of(build_clip(clip, request, Path(folder)))
+        return build.model
+
+
+def check_request(request: BuildModelRequest) -> None:
+    """Raise `BadInput` for settings that cannot be meant."""
+    if request.components < 1:
+        raise BadInput(f"{request.components} components were asked for: ask for at least 1")
+    weight = request.warp_weight
+    if weight is not None and not (np.isfinite(weight) and weight > 0):
+        raise BadInput(f"a warp weight of {weight} cannot be used: give a number above 0 (colour per px), or auto")
+
+
+def default_size(source_size: tuple[int, int], crop: tuple[int, int, int, int] | None) -> tuple[int, int]:
+    """Give the model's frame size (w, h) where none was asked for: the frames' own, or 200 x 240 where they are large."""
+    size = crop[2:] if crop else source_size
+    return DEFAULT_SIZE if max(size) > DEFAULT_SIDE_PX else (size[0], size[1])
+
+
+def explained_variance(model: MorphModel) -> float:
+    """Give the share of the training frames' variance (in the inner product) that the components hold."""
+    kept = float(model.basis.variances.sum())
+    dimensions = max(1, int((model.basis.weight > 0).sum()) - model.rank)
+    total = kept + model.basis.discarded_variance * dimensions
+    return kept / total if total > 0 else 1.0
+
+
+def _mask(path: Path | None, framing: Framing, source_size: tuple[int, int]) -> tuple[Mask | None, str | None]:
+    if path is None:
+        return None, None
+    mask = read_mask(path)
+    size = (mask.shape[1], mask.shape[0])
+    if size == source_size and size != framing.size:
+        mask = framing.apply(np.repeat(mask[..., None], 3, axis=2))[..., 0]
+    elif size != framing.size:
+        raise BadInput(
+            f"the mask {path} is {size[0]}x{size[1]}, the frames are {source_size[0]}x{source_size[1]} and the model's "
+            f"{framing.size[0]}x{framing.size[1]}: draw it at one of these sizes"
+        )
+    return mask, digest_of_array(mask)
+
+
+def _index_of(reference: str, clip: Clip) -> int:
+    """Find the frame the user means by its name, with or without folder and suffix."""
+    for wanted in (reference, Path(reference).name, Path(reference).stem):
+        if wanted in clip.frame_names:
+            return clip.frame_names.index(wanted)
+    raise BadInput(
+        f"there is no frame {reference!r} in {clip.name}: its frames are {clip.frame_names[0]} to {clip.frame_names[-1]}"
+    )
+
+
+def _faceframe(clip: Clip, framing: Framing) -> tuple[FaceFrame | None, int | None]:
+    marked = clip.sidecar.faceframe
+    if marked is None:
+        return None, None
+    points = apply_affine(inverse_affine(framing.to_source), marked.points)
+    right, left, lip = (tuple(map(float, point)) for point in points)
+    return FaceFrame(right, left, lip), _index_of(marked.image, clip)  # type: ignore[arg-type]
+
+
+def _provenance(
+    clip: Clip, source: FramedClip, request: BuildModelRequest, mask_digest: str | None
+) -> dict[str, Any]:
+    framing = source.framing
+    return {
+        "identity": request.identity or clip.sidecar.identity or clip.name,
+        "consent": clip.sidecar.consent,
+        "licence": clip.sidecar.licence,
+        "frame_rate_hz": clip.sidecar.frame_rate_hz,
+        "framing": {
+            "source_size": list(framing.source_size),
+            "crop": None if framing.crop is None else list(framing.crop),
+            "size": list(framing.size),
+        },
+        "mask_sha256": mask_digest,
+        "inputs": dict(zip(clip.frame_names, source.file_digests, strict=True)),
+        "versions": versions(),
+    }

@@ -1,0 +1,64 @@
+"""encode: from images of a person to a table of loadings on that person's model."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from morphspace.files.tables import write_loadings_table
+from morphspace.model import Loadings, MorphModel, load_model
+from morphspace.progress import Step, Steps
+from morphspace.storage import digest_of_file
+from morphspace.verbs.encoding import encoded_frames, framed_for, joined
+from morphspace.verbs.outcome import Outcome, check_folder, versions
+
+
+@dataclass(frozen=True)
+class EncodeRequest:
+    """Encode the images of `sources` with `model` into the table `output` (.csv), cropped by `crop` px if given."""
+
+    model: Path
+    sources: tuple[str, ...]
+    output: Path
+    crop: tuple[int, int, int, int] | None = None
+
+
+def run(request: EncodeRequest) -> Steps[Outcome]:
+    """Encode and write the table and its sidecar. Returns an `Outcome`."""
+    model = load_model(request.model)
+    source = framed_for(model, request.sources, request.crop)
+    check_folder(request.output.parent)
+    parts: list[Loadings] = []
+    for encoded in encoded_frames(model, source):
+        parts.append(encoded.loadings)
+        yield Step("encode", len(parts), len(source.names))
+    loadings = joined(model, parts)
+    inputs = dict(zip(source.names, source.file_digests, strict=True))
+    written = write_loadings(request.output, loadings, model, request.model, inputs)
+    furthest = float(np.abs(loadings.in_sd(model)).max(initial=0))
+    lines = (
+        f"{request.output}: {len(parts)} frames, {model.rank} components of {model.identity}, in SD; the furthest "
+        f"value is {furthest:.1f} SD",
+    )
+    document = {"table": str(request.output), "frames": len(parts), "components": model.rank, "furthest_sd": furthest}
+    return Outcome(lines, document, (), written)
+
+
+def write_loadings(
+    output: Path, loadings: Loadings, model: MorphModel, model_path: Path, inputs: dict[str, str]
+) -> tuple[Path, Path]:
+    """Write loadings as a table in SD with a sidecar that names the model and the inputs."""
+    document = {
+        "model_id": model.model_id,
+        "model_sha256": digest_of_file(model_path),
+        "identity": model.identity,
+        "consent": model.provenance.get("consent"),
+        "licence": model.provenance.get("licence"),
+        "frame_rate_hz": model.provenance.get("frame_rate_hz"),
+        "inputs": inputs,
+        "versions": versions(),
+    }
+    write_loadings_table(output, loadings.in_sd(model), loadings.frame_names, document)
+    return output, output.with_suffix(".json")

@@ -1,0 +1,65 @@
+"""info: what a model is, where it came from, and whether its file is whole."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from morphspace.model import load_model, model_digest, points_document
+from morphspace.errors import ModelFileError
+from morphspace.progress import Step, Steps
+from morphspace.verbs.build_model import explained_variance
+from morphspace.verbs.outcome import Outcome
+
+SHOWN = 10  # components listed one by one
+
+
+@dataclass(frozen=True)
+class InfoRequest:
+    """Tell about the model in the file `model`."""
+
+    model: Path
+
+
+def run(request: InfoRequest) -> Steps[Outcome]:
+    """Read the model, check its digest, and give an `Outcome` with its description."""
+    model = load_model(request.model)
+    yield Step("check", 0, 1)
+    found = model_digest(model.basis, model.mean, model.provenance)
+    if found != model.model_id:
+        raise ModelFileError(
+            f"{request.model} was changed after it was written: its digest is {found}, {model.model_id} is recorded; "
+            "copy it again or rebuild it"
+        )
+    yield Step("check", 1, 1)
+    total = max(float(model.basis.variances.sum()) / max(explained_variance(model), 1e-12), 1e-30)
+    shares = (model.basis.variances / total).tolist()
+    origin = model.provenance
+    lines = [
+        f"{request.model}: a morph model of {model.identity} (id {model.model_id}, digest checked)",
+        f"frames     {len(model.training.frame_names)} of {model.size[0]}x{model.size[1]}, reference "
+        f"{origin['reference']['frame']}, registration {model.registration}, flow {model.flow}",
+        f"components {model.rank}, {explained_variance(model):.1%} of the variance, warp weight "
+        f"{model.warp_weight:.4g} colour/px",
+        "shares     " + (", ".join(f"{share:.1%}" for share in shares[:SHOWN]) or "none: the frames do not differ"),
+        f"consent    {origin.get('consent') or 'not told'}",
+        f"licence    {origin.get('licence') or 'not told'}",
+        "faceframe  " + ("not marked" if model.faceframe is None else str(points_document(model.faceframe))),
+        "versions   " + ", ".join(f"{name} {version}" for name, version in sorted(origin["versions"].items())),
+    ]
+    document = {
+        "model_id": model.model_id,
+        "identity": model.identity,
+        "size": list(model.size),
+        "components": model.rank,
+        "variance_explained": explained_variance(model),
+        "variance_shares": shares,
+        "sd": model.sd.tolist(),
+        "warp_weight": model.warp_weight,
+        "registration": model.registration,
+        "flow": model.flow,
+        "faceframe": points_document(model.faceframe),
+        "training_frames": list(model.training.frame_names),
+        "provenance": dict(origin),
+    }
+    return Outcome(tuple(lines), document)

@@ -1,0 +1,96 @@
+"""reconstruct: take every frame apart into loadings and put it together again, beside the original, with figures."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from morphspace import warp
+from morphspace.errors import BadInput
+from morphspace.files.images import write_image
+from morphspace.files.tables import write_metrics_table
+from morphspace.measure import psnr_db, rms_px, ssim
+from morphspace.model import load_model
+from morphspace.progress import Step, Steps
+from morphspace.storage import digest_of_file
+from morphspace.verbs.encode import write_loadings
+from morphspace.verbs.encoding import encoded_frames, framed_for, joined
+from morphspace.verbs.outcome import Outcome, check_folder, write_record
+
+
+@dataclass(frozen=True)
+class ReconstructRequest:
+    """Reconstruct the images of `sources` with `model` into the folder `output`, from `components` (None for all)."""
+
+    model: Path
+    sources: tuple[str, ...]
+    output: Path
+    components: int | None = None
+    crop: tuple[int, int, int, int] | None = None
+
+
+def run(request: ReconstructRequest) -> Steps[Outcome]:
+    """Write aligned/, reconstructed/, placed/, metrics.csv and loadings.csv. Returns an `Outcome`."""
+    whole = load_model(request.model)
+    model = whole
+    if request.components is not None:
+        if not 1 <= request.components <= model.rank:
+            raise BadInput(
+                f"cannot reconstruct from {request.components} components, {model.identity} has {model.rank}: "
+                f"choose 1 to {model.rank}"
+            )
+        model = whole.truncate(request.components)
+    source = framed_for(model, request.sources, request.crop)
+    folders = {name: request.output / name for name in ("aligned", "reconstructed", "placed")}
+    for folder in folders.values():
+        check_folder(folder)
+    table: dict[str, list[object]] = {
+        name: [] for name in ("frame", "psnr_db", "ssim", "warp_error_px", "fold_fraction")
+    }
+    parts, written = [], []
+    originals = source.clip.images()
+    for encoded, original in zip(encoded_frames(model, source), originals, strict=True):
+        name = encoded.frame.name
+        morph = model.expand(encoded.loadings.values[0])
+        image = morph.render()
+        to_original = warp.chain_affine(source.to_source, encoded.frame.registration)
+        pictures = {
+            "aligned": encoded.frame.image,
+            "reconstructed": image,
+            "placed": model.placed(image, original, to_original),
+        }
+        for kind, picture in pictures.items():
+            path = folders[kind] / f"{Path(name).stem}.png"
+            write_image(path, picture)
+            written.append(path)
+        table["frame"].append(name)
+        table["psnr_db"].append(psnr_db(image, encoded.frame.image, model.mask))
+        table["ssim"].append(ssim(image, encoded.frame.image, model.mask))
+        table["warp_error_px"].append(rms_px(morph.displacement - encoded.morph.displacement, model.mask))
+        table["fold_fraction"].append(warp.fold_fraction(morph.displacement, model.mask))
+        parts.append(encoded.loadings)
+        yield Step("reconstruct", len(parts), len(source.names))
+    metrics = request.output / "metrics.csv"
+    write_metrics_table(metrics, table)
+    inputs = dict(zip(source.names, source.file_digests, strict=True))
+    loadings = write_loadings(request.output / "loadings.csv", joined(whole, parts), whole, request.model, inputs)
+    written += [metrics, *loadings]
+    settings = {"components": model.rank, "model": str(request.model), "crop": request.crop}
+    record = write_record(
+        request.output, "reconstruct", settings, {"model": digest_of_file(request.model), **inputs}, written
+    )
+    psnr = np.array(table["psnr_db"], np.float64)
+    lines = (
+        f"{request.output}: {len(parts)} frames from {model.rank} components, {np.median(psnr):.1f} dB (median), "
+        f"{np.percentile(psnr, 10):.1f} dB (10th percentile)",
+    )
+    document = {
+        "output": str(request.output),
+        "frames": len(parts),
+        "components": model.rank,
+        "psnr_db_median": float(np.median(psnr)),
+        "psnr_db_10th_percentile": float(np.percentile(psnr, 10)),
+    }
+    return Outcome(lines, document, (), (*written, record))
