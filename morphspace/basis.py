@@ -4,8 +4,8 @@ There are far fewer faces (n) than numbers in a face (d), so the eigenvectors co
 Pentland, Eigenfaces for recognition, 1991). It is summed in float64 over blocks of columns: the data are never in
 memory at once, and small components are not lost to rounding.
 
-The inner product is <a, b> = sum_j weight_j a_j b_j with weight_j >= 0. A column of weight 0 (outside the mask) does not
-decide what the components are, yet each component says how that column goes along.
+The inner product is <a, b> = sum_j weight_j a_j b_j with weight_j >= 0. A column of weight 0 (outside the mask)
+does not decide what the components are, yet each component says how that column goes along.
 """
 
 from __future__ import annotations

@@ -55,7 +55,7 @@ class FrameSource(Protocol):
 
 @dataclass(frozen=True)
 class BuildSettings:
-    """How to build. `reference` is a frame's index or None (chosen), `warp_weight` colour per px or None (cross-validated).
+    """How to build. `reference` is a frame's index, None to choose; `warp_weight` colour per px, None to cross-validate.
 
     `mask` (h, w) is drawn on the reference, None for an ellipse over the face. `faceframe` is marked on the frame
     `faceframe_index`.
@@ -180,7 +180,8 @@ def _choose_reference(source: FrameSource, settings: BuildSettings) -> Steps[Ref
     small: list[Image] = []
     mask: Mask = np.zeros((0, 0), np.float32)
     for image in source.images(indices):
-        face = faces.face_mask(*image.shape[:2], settings.faceframe)
+        height, width = image.shape[:2]
+        face = faces.face_mask(height, width, settings.faceframe)
         image, mask = shrunk(image, face)
         small.append(image)
     scores: list[float] = []
@@ -226,7 +227,7 @@ def _flow_pass(
             registration = faces.register(reference, image, settings.registration, region)
             still = faces.aligned(image, "", registration).image
             flow = baselines.named(settings.flow)(reference, still, None)
-        arrays = {"image": still, "registration": registration, "flow": flow}
+        arrays: dict[str, AnyArray] = {"image": still, "registration": registration, "flow": flow}
         write_container(files[index], arrays, {"format": FRAME_FORMAT})
 
     finished = len(files) - len(missing)
@@ -327,7 +328,8 @@ def _faceframe_on_mean(
 
 def _mask_on_mean(settings: BuildSettings, mean_inverse: Displacement, faceframe: FaceFrame | None) -> Mask:
     if settings.mask is None:
-        return faces.face_mask(*mean_inverse.shape[:2], faceframe)
+        height, width = mean_inverse.shape[:2]
+        return faces.face_mask(height, width, faceframe)
     mask = np.clip(warp.sample_field(settings.mask.astype(np.float32), mean_inverse), 0, 1)
     if not mask.any():
         raise BadInput("the mask is empty (0 everywhere): paint the face white")

@@ -27,18 +27,22 @@ PROGRESS_AFTER_S = 2.0
 INTERRUPTED = 130
 
 
-class Numbers(click.ParamType):
+class Numbers(click.ParamType):  # type: ignore[type-arg]
     """A fixed count of whole numbers written with a separator, such as 200x240 or 10,20,200,240."""
 
     def __init__(self, name: str, count: int, separator: str) -> None:
         self.name, self.count, self.separator = name, count, separator
 
-    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> tuple[int, ...]:
+    def convert(
+        self, value: Any, param: click.Parameter | None, ctx: click.Context | None
+    ) -> tuple[int, ...]:
         if isinstance(value, tuple):
             return value
         parts = re.split(f"[{self.separator}]", value)
         if len(parts) != self.count or not all(re.fullmatch(r"\d{1,6}", part) for part in parts):
-            self.fail(f"{value!r} is not {self.name}: write {self.count} whole numbers, such as {self.example}")
+            self.fail(
+                f"{value!r} is not {self.name}: write {self.count} whole numbers, such as {self.example}"
+            )
         return tuple(map(int, parts))
 
     @property
@@ -51,7 +55,7 @@ SIZE = Numbers("WxH", 2, "xX")
 CROP = Numbers("X,Y,W,H", 4, ",")
 
 
-class WeightOrAuto(click.ParamType):
+class WeightOrAuto(click.ParamType):  # type: ignore[type-arg]
     """A number, or the word auto (None)."""
 
     name = "auto|NUMBER"
@@ -92,10 +96,13 @@ def verb(command: Callable[..., Steps[Outcome]]) -> Callable[..., None]:
             if debug:
                 raise
             _fail(str(error), 2 if isinstance(error, BadInput) else 1)
-        except Exception as error:  # noqa: BLE001 - the border: whatever escapes is a fault of ours, told in one line
+        except Exception as error:
             if debug:
                 raise
-            _fail(f"a fault of morphspace ({type(error).__name__}: {error}); run again with --debug and report it", 1)
+            _fail(
+                f"a fault of morphspace ({type(error).__name__}: {error}); run again with --debug and report it",
+                1,
+            )
         _show(outcome, quiet, as_json)
 
     return wrapped
@@ -116,7 +123,12 @@ def _driven(steps: Steps[Outcome], silent: bool) -> Outcome:
             for bar in bars.values():
                 bar.close()
             bars[step.stage] = tqdm(
-                desc=step.stage, total=step.total, delay=PROGRESS_AFTER_S, leave=False, file=sys.stderr, unit=""
+                desc=step.stage,
+                total=step.total,
+                delay=PROGRESS_AFTER_S,
+                leave=False,
+                file=sys.stderr,
+                unit="",
             )
         bars[step.stage].update(step.done - bars[step.stage].n)
 
@@ -151,11 +163,15 @@ CROPPED = click.option("--crop", type=CROP, help="Cut this box out of every fram
 
 @main.command("build-model")
 @SOURCES
-@click.option("-o", "--output", type=click.Path(path_type=Path), help="The .morph file [default: the clip's name].")
+@click.option(
+    "-o", "--output", type=click.Path(path_type=Path), help="The .morph file [default: the clip's name]."
+)
 @click.option("-k", "--components", default=50, show_default=True, help="The most components to keep.")
 @click.option("--size", type=SIZE, help="Model frame size; scales to cover and crops to the middle.")
 @CROPPED
-@click.option("--mask", type=click.Path(path_type=Path), help="Grey picture on the reference, white where the face is.")
+@click.option(
+    "--mask", type=click.Path(path_type=Path), help="Grey picture on the reference, white where the face is."
+)
 @click.option("--reference", metavar="FILE", help="The reference frame [default: chosen, and said why].")
 @click.option(
     "--register",
@@ -181,7 +197,9 @@ CROPPED = click.option("--crop", type=CROP, help="Cut this box out of every fram
 )
 @click.option("--work-dir", "work_folder", type=click.Path(path_type=Path), help="Keep finished frames here.")
 @click.option("--identity", help="Who it is [default: from clip.json, else the clip's name].")
-@click.option("--report", type=click.Path(path_type=Path), help="The HTML report [default: beside the model].")
+@click.option(
+    "--report", type=click.Path(path_type=Path), help="The HTML report [default: beside the model]."
+)
 @verb
 def build_model(clip: tuple[str, ...], **options: Any) -> Steps[Outcome]:
     """Build a face model from CLIP: image files, a folder, a quoted glob, or a video."""
@@ -203,7 +221,9 @@ def info(model: Path) -> Steps[Outcome]:
 @main.command("encode")
 @MODEL
 @SOURCES
-@click.option("-o", "--output", type=click.Path(path_type=Path), required=True, help="The loadings table (.csv).")
+@click.option(
+    "-o", "--output", type=click.Path(path_type=Path), required=True, help="The loadings table (.csv)."
+)
 @CROPPED
 @verb
 def encode(model: Path, clip: tuple[str, ...], **options: Any) -> Steps[Outcome]:
@@ -224,7 +244,9 @@ def encode(model: Path, clip: tuple[str, ...], **options: Any) -> Steps[Outcome]
     help="A folder of images, or a video: .mkv lossless, .mp4 for people.",
 )
 @click.option("--gain", default=1.0, show_default=True, help="Multiply all loadings: above 1 caricatures.")
-@click.option("--frame-rate", "frame_rate_hz", type=click.FloatRange(1, 1000), help="Frames a second of a video.")
+@click.option(
+    "--frame-rate", "frame_rate_hz", type=click.FloatRange(1, 1000), help="Frames a second of a video."
+)
 @verb
 def render(model: Path, table: Path, **options: Any) -> Steps[Outcome]:
     """Draw the faces of a TABLE of loadings with MODEL."""
@@ -236,7 +258,9 @@ def render(model: Path, table: Path, **options: Any) -> Steps[Outcome]:
 @main.command("reconstruct")
 @MODEL
 @SOURCES
-@click.option("-o", "--output", type=click.Path(path_type=Path), required=True, help="The folder to write into.")
+@click.option(
+    "-o", "--output", type=click.Path(path_type=Path), required=True, help="The folder to write into."
+)
 @click.option("-k", "--components", type=int, help="Use only the first components [default: all].")
 @CROPPED
 @verb
@@ -249,10 +273,14 @@ def reconstruct(model: Path, clip: tuple[str, ...], **options: Any) -> Steps[Out
 
 @main.command("sample")
 @MODEL
-@click.option("-o", "--output", type=click.Path(path_type=Path), required=True, help="The folder to write into.")
+@click.option(
+    "-o", "--output", type=click.Path(path_type=Path), required=True, help="The folder to write into."
+)
 @click.option("-n", "--count", default=16, show_default=True, help="How many faces.")
 @click.option("--seed", default=0, show_default=True, help="The same seed gives the same faces.")
-@click.option("--spread", default=1.0, show_default=True, help="Scale of the distribution; 1 is the model's own.")
+@click.option(
+    "--spread", default=1.0, show_default=True, help="Scale of the distribution; 1 is the model's own."
+)
 @verb
 def sample(model: Path, **options: Any) -> Steps[Outcome]:
     """Draw faces at random from MODEL."""
@@ -263,7 +291,9 @@ def sample(model: Path, **options: Any) -> Steps[Outcome]:
 
 @main.command("sweep")
 @MODEL
-@click.option("-o", "--output", type=click.Path(path_type=Path), required=True, help="The folder to write into.")
+@click.option(
+    "-o", "--output", type=click.Path(path_type=Path), required=True, help="The folder to write into."
+)
 @click.option("-k", "--components", default=10, show_default=True, help="How many components.")
 @click.option("-n", "--amount-sd", default=3.0, show_default=True, help="From minus to plus so many SD.")
 @click.option("--steps", default=7, show_default=True, help="Faces in a strip.")
@@ -276,15 +306,21 @@ def sweep(model: Path, **options: Any) -> Steps[Outcome]:
 
 
 @main.command("make-actors")
-@click.option("-o", "--output", type=click.Path(path_type=Path), required=True, help="The folder to write into.")
+@click.option(
+    "-o", "--output", type=click.Path(path_type=Path), required=True, help="The folder to write into."
+)
 @click.option("--identities", default=4, show_default=True, help="How many drawn people.")
 @click.option("--portraits", default=0, show_default=True, help="How many animated photographs, besides.")
 @click.option("--frames", default=60, show_default=True, help="Frames of each clip.")
 @click.option("--seed", default=1, show_default=True, help="The same seed draws the same people.")
 @click.option("--size", type=SIZE, default="200x240", show_default=True, help="Size of the frames, px.")
-@click.option("--head-motion", "head_motion_px", default=0.0, show_default=True, help="Rigid head movement, px.")
+@click.option(
+    "--head-motion", "head_motion_px", default=0.0, show_default=True, help="Rigid head movement, px."
+)
 @click.option("--light-change", default=0.0, show_default=True, help="Change of light over the clip, share.")
-@click.option("--noise", "noise_sd", default=0.0, show_default=True, help="Sensor noise, sd in colour (0 to 1).")
+@click.option(
+    "--noise", "noise_sd", default=0.0, show_default=True, help="Sensor noise, sd in colour (0 to 1)."
+)
 @verb
 def make_actors(**options: Any) -> Steps[Outcome]:
     """Draw actors with exact truth: clip folders, and the truth beside them."""

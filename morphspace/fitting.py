@@ -80,8 +80,8 @@ class _Problem:
         slope_y = cv2.Scharr(image, cv2.CV_32F, 0, 1) / np.float32(SCHARR_SUM)
         self.slopes = slope_x, slope_y
         textures, displacements = np.split(basis.components, [3 * mask.size], axis=1)
-        self.textures = textures.reshape(basis.rank, -1, 3)[:, self.inside]
-        self.displacements = displacements.reshape(basis.rank, -1, 2)[:, self.inside]
+        self.textures = textures.reshape(basis.rank, mask.size, 3)[:, self.inside]
+        self.displacements = displacements.reshape(basis.rank, mask.size, 2)[:, self.inside]
 
     def at(self, loadings: LoadingVector) -> _State:
         texture, displacement = parts_of(self.mean + self.basis.expand(loadings), self.height, self.width)

@@ -124,7 +124,8 @@ class MorphModel:
     def align(self, image: Image, name: str = "image") -> Frame:
         """Bring an image (h, w, 3) of the model's size to the reference, as the build did with its frames."""
         self._check_size(image, name)
-        region = rigid_region(*self.mask.shape, self.reference_faceframe)
+        height, width = self.mask.shape
+        region = rigid_region(height, width, self.reference_faceframe)
         return aligned(image, name, register(self.reference, image, self.registration, region))
 
     def morph_of(self, image: Image, flow: FlowFunction | None = None) -> Morph:

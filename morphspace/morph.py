@@ -20,7 +20,7 @@ INVERSE_TOL_PX = 0.01  # m(m^-1(p)) = p, checked when the mean shape is inverted
 
 @dataclass(frozen=True, eq=False)
 class MorphOffset:
-    """A difference between faces: displacement (h, w, 2) px and texture (h, w, 3) on the mean face of `reference_id`."""
+    """A difference between faces: displacement (h, w, 2) px and texture (h, w, 3), on the face `reference_id`."""
 
     displacement: Displacement
     texture: Image

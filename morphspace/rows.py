@@ -58,7 +58,7 @@ class RowFile:
             offset += data.nbytes
 
     def _write(self, data: AnyArray, offset: int) -> None:
-        view = memoryview(data).cast("B")
+        view = data.view(np.uint8).data
         while len(view):
             written = os.pwrite(self._file, view, offset)
             view, offset = view[written:], offset + written
@@ -66,14 +66,14 @@ class RowFile:
     def row(self, index: int) -> AnyArray:
         """Give row `index`, (d,) float32."""
         out = np.empty(self.shape[1], np.float32)
-        os.preadv(self._file, [memoryview(out).cast("B")], index * out.nbytes)
+        os.preadv(self._file, [out.view(np.uint8).data], index * out.nbytes)
         return out
 
     def columns(self, start: int, stop: int) -> Rows:
         """Give columns start:stop of all rows, (n, stop - start) float32."""
         out = np.empty((self.shape[0], stop - start), np.float32)
         for index, row in enumerate(out):
-            os.preadv(self._file, [memoryview(row).cast("B")], (index * self.shape[1] + start) * 4)
+            os.preadv(self._file, [row.view(np.uint8).data], (index * self.shape[1] + start) * 4)
         return out
 
 

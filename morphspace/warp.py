@@ -135,26 +135,22 @@ def invert(displacement: Displacement) -> Displacement:
     covered.
     """
     height, width = displacement.shape[:2]
-    vertex_x, vertex_y, step_x, step_y = _moved_grid(displacement)
-    cells = _Cells(vertex_x, vertex_y)
-    cell, qx, qy = cells.candidates(height, width)
-    proper = cells.proper[cell]
-    hits = [_hits(cells, cell[proper], qx[proper], qy[proper], None)]
-    if not proper.all():
-        folded = ~proper
-        hits += [_hits(cells, cell[folded], qx[folded], qy[folded], upper) for upper in (True, False)]
-    cell, qx, qy, across, down, stretch = (np.concatenate(parts) for parts in zip(*hits, strict=True))
-    row, column = np.divmod(cell, cells.columns)
-    x = step_x[column] + across * (step_x[column + 1] - step_x[column])
-    y = step_y[row] + down * (step_y[row + 1] - step_y[row])
+    moved_x, moved_y, step_x, step_y = _moved_grid(displacement)
+    cell, qx, qy = _candidates(moved_x, moved_y, height, width)
+    triangles = _triangles(moved_x, moved_y)
+    hit, number, along, beside = _hits(triangles, cell, qx, qy)
+    qx, qy = qx[hit], qy[hit]
+    start_x, edge_x, start_y, edge_y = (source[number] for source in _sources(step_x, step_y))
+    back_x = start_x + along * edge_x - qx
+    back_y = start_y + beside * edge_y - qy
     target = qy * width + qx
     covered = np.bincount(target, minlength=height * width)
     if covered.max(initial=0) > 1:
-        order = _least_stretched_first(target, stretch, covered)
-        target, x, y = target[order], x[order], y[order]
+        order = _least_stretched_first(target, triangles[STRETCH].reshape(-1)[number], covered)
+        target, back_x, back_y = target[order], back_x[order], back_y[order]
     inverse = np.empty((height * width, 2), np.float32)
-    inverse[target, 0] = x - target % width
-    inverse[target, 1] = y - target // width
+    inverse[target, 0] = back_x
+    inverse[target, 1] = back_y
     inverse = inverse.reshape(height, width, 2)
     missing = (covered == 0).reshape(height, width)
     if missing.any():
@@ -175,73 +171,106 @@ def _moved_grid(displacement: Displacement) -> tuple[AnyArray, AnyArray, AnyArra
     return ringed[..., 0] + step_x, ringed[..., 1] + step_y[:, None], step_x, step_y
 
 
-class _Cells:
-    """The moved grid cells as flat arrays: corners a b / c d, edges, and the two triangles' determinants."""
-
-    def __init__(self, x: AnyArray, y: AnyArray) -> None:
-        self.columns = x.shape[1] - 1
-        self.ax, self.ay = x[:-1, :-1].ravel(), y[:-1, :-1].ravel()
-        self.dx, self.dy = x[1:, 1:].ravel(), y[1:, 1:].ravel()
-        bx, by = x[:-1, 1:].ravel(), y[:-1, 1:].ravel()
-        cx, cy = x[1:, :-1].ravel(), y[1:, :-1].ravel()
-        self.bx, self.by = bx, by
-        self.cut_x, self.cut_y = cx - bx, cy - by
-        self.ab_x, self.ab_y, self.ac_x, self.ac_y = bx - self.ax, by - self.ay, cx - self.ax, cy - self.ay
-        self.dc_x, self.dc_y, self.db_x, self.db_y = cx - self.dx, cy - self.dy, bx - self.dx, by - self.dy
-        self.upper = self.ab_x * self.ac_y - self.ab_y * self.ac_x
-        self.lower = self.dc_x * self.db_y - self.dc_y * self.db_x
-        self.proper = (self.upper > 0) & (self.lower > 0)
-        self.left, self.right = _extent(self.ax, bx, cx, self.dx)
-        self.top, self.bottom = _extent(self.ay, by, cy, self.dy)
-
-    def candidates(self, height: int, width: int) -> tuple[AnyArray, AnyArray, AnyArray]:
-        """Give every (cell, x, y) where the pixel lies in the cell's bounding box; a handful a pixel."""
-        first_x = np.maximum(np.ceil(self.left - EDGE_TOLERANCE), 0).astype(np.int32)
-        first_y = np.maximum(np.ceil(self.top - EDGE_TOLERANCE), 0).astype(np.int32)
-        wide = np.minimum(np.floor(self.right + EDGE_TOLERANCE), width - 1).astype(np.int32) - first_x + 1
-        high = np.minimum(np.floor(self.bottom + EDGE_TOLERANCE), height - 1).astype(np.int32) - first_y + 1
-        count = np.where((wide > 0) & (high > 0), wide * high, 0)
-        busy = np.flatnonzero(count)
-        count = count[busy]
-        cell = np.repeat(busy, count)
-        place = np.arange(cell.size, dtype=np.int32) - np.repeat(
-            np.cumsum(count, dtype=np.int32) - count, count
-        )
-        row, column = np.divmod(place, wide[cell])
-        return cell, first_x[cell] + column, first_y[cell] + row
+def _sources(step_x: AnyArray, step_y: AnyArray) -> tuple[AnyArray, AnyArray, AnyArray, AnyArray]:
+    """Give where each triangle's corner o stood before it moved, and how far its edges reached: x, dx, y, dy, flat."""
+    shape = (len(step_y) - 1, len(step_x) - 1)
+    wide, high = np.diff(step_x), np.diff(step_y)
+    columns = np.array([[step_x[:-1], step_x[1:]], [wide, -wide]])  # upper triangles start left, lower ones right
+    rows = np.array([[step_y[:-1], step_y[1:]], [high, -high]])
+    spread_x = np.broadcast_to(columns[:, :, None, :], (2, 2, *shape)).reshape(2, -1)
+    spread_y = np.broadcast_to(rows[:, :, :, None], (2, 2, *shape)).reshape(2, -1)
+    return spread_x[0], spread_x[1], spread_y[0], spread_y[1]
 
 
-def _extent(a: AnyArray, b: AnyArray, c: AnyArray, d: AnyArray) -> tuple[AnyArray, AnyArray]:
-    return np.minimum(np.minimum(a, b), np.minimum(c, d)), np.maximum(np.maximum(a, b), np.maximum(c, d))
+def _candidates(x: AnyArray, y: AnyArray, height: int, width: int) -> tuple[AnyArray, AnyArray, AnyArray]:
+    """Give every (cell, pixel x, pixel y) where the pixel lies in the moved cell's bounding box; about one a pixel."""
+    first_x, last_x = _pixels_across(x, width)
+    first_y, last_y = _pixels_across(y, height)
+    wide, high = last_x - first_x + 1, last_y - first_y + 1
+    count = np.where((wide > 0) & (high > 0), wide * high, 0)
+    busy = np.flatnonzero(count)
+    count = count[busy]
+    cell = np.repeat(busy, count)
+    place = np.arange(cell.size, dtype=np.int32) - np.repeat(np.cumsum(count, dtype=np.int32) - count, count)
+    first_x, first_y = first_x[cell], first_y[cell]
+    beyond = np.flatnonzero(place)  # most cells hold one pixel, and need no division
+    row, column = np.divmod(place[beyond], wide[cell[beyond]])
+    first_x[beyond] += column
+    first_y[beyond] += row
+    return cell, first_x, first_y
+
+
+def _pixels_across(corners: AnyArray, size: int) -> tuple[AnyArray, AnyArray]:
+    """Give the first and the last pixel along one axis that each cell can cover, flat int32."""
+    above, below = corners[:-1], corners[1:]
+    least = np.minimum(above, below)
+    most = np.maximum(above, below)
+    least = np.minimum(least[:, :-1], least[:, 1:]) - EDGE_TOLERANCE
+    most = np.maximum(most[:, :-1], most[:, 1:]) + EDGE_TOLERANCE
+    first = np.ceil(np.maximum(least, 0)).astype(np.int32)
+    last = np.floor(np.minimum(most, size - 1)).astype(np.int32)
+    return first.reshape(-1), last.reshape(-1)
+
+
+STRETCH = 6  # the row of `_triangles` that holds the determinant
+
+
+def _triangles(x: AnyArray, y: AnyArray) -> AnyArray:
+    """Give both triangles of each moved cell as numbers: (7, 2, cells), upper ones first.
+
+    With o the right-angled corner and e, f the moved edges along x and y, a pixel q lies at
+    along = A (q - o).x + B (q - o).y, beside = C (q - o).x + D (q - o).y. The rows are o.x, o.y, A, B, C, D and the
+    determinant e x f, how much the triangle is stretched. A triangle without area gets zeros and is never hit.
+    """
+    out = np.empty((7, 2, (x.shape[0] - 1) * (x.shape[1] - 1)), np.float32)
+    corners = (
+        ((slice(None, -1), slice(None, -1)), (slice(None, -1), slice(1, None)), (slice(1, None), slice(None, -1))),
+        ((slice(1, None), slice(1, None)), (slice(1, None), slice(None, -1)), (slice(None, -1), slice(1, None))),
+    )
+    for side, (o, e, f) in enumerate(corners):
+        ex, ey, fx, fy = x[e] - x[o], y[e] - y[o], x[f] - x[o], y[f] - y[o]
+        stretch = ex * fy - ey * fx
+        scale = 1 / np.where(stretch == 0, np.float32(np.inf), stretch)
+        rows = (x[o], y[o], fy * scale, -fx * scale, -ey * scale, ex * scale, stretch)
+        for number, values in enumerate(rows):
+            out[number, side] = values.reshape(-1)
+    return out
 
 
 def _hits(
-    cells: _Cells, cell: AnyArray, qx: AnyArray, qy: AnyArray, upper: bool | None
-) -> tuple[AnyArray, AnyArray, AnyArray, AnyArray, AnyArray, AnyArray]:
-    """Keep the candidates that a triangle covers, with their place in the cell (across, down in [0, 1]).
+    triangles: AnyArray, cell: AnyArray, qx: AnyArray, qy: AnyArray
+) -> tuple[AnyArray, AnyArray, AnyArray, AnyArray]:
+    """Find which candidates a triangle covers: their index, the triangle's number, and their place along its edges.
 
-    In a proper cell the side of the cut tells which triangle to ask (`upper` None); in a folded one both are asked.
+    A pixel beyond the cut of a proper cell can only be in the lower triangle; in a folded cell both are asked.
     """
-    if upper is None:
-        side = cells.cut_x[cell] * (qy - cells.by[cell]) - cells.cut_y[cell] * (qx - cells.bx[cell])
-        in_upper = side >= 0
-    else:
-        in_upper = np.full(cell.shape, upper)
-    px = (qx - np.where(in_upper, cells.ax[cell], cells.dx[cell])).astype(np.float32)
-    py = (qy - np.where(in_upper, cells.ay[cell], cells.dy[cell])).astype(np.float32)
-    e_x = np.where(in_upper, cells.ab_x[cell], cells.dc_x[cell])
-    e_y = np.where(in_upper, cells.ab_y[cell], cells.dc_y[cell])
-    f_x = np.where(in_upper, cells.ac_x[cell], cells.db_x[cell])
-    f_y = np.where(in_upper, cells.ac_y[cell], cells.db_y[cell])
-    stretch = np.where(in_upper, cells.upper[cell], cells.lower[cell])
-    scale = 1 / np.where(stretch == 0, np.float32(np.inf), stretch)
-    along = (px * f_y - py * f_x) * scale
-    beside = (e_x * py - e_y * px) * scale
-    inside = (along >= -EDGE_TOLERANCE) & (beside >= -EDGE_TOLERANCE) & (along + beside <= 1 + EDGE_TOLERANCE)
-    inside &= stretch != 0
-    across = np.where(in_upper, along, 1 - along)
-    down = np.where(in_upper, beside, 1 - beside)
-    return cell[inside], qx[inside], qy[inside], across[inside], down[inside], stretch[inside]
+    upper, lower = triangles[:, 0], triangles[:, 1]
+    along, beside = _place(upper, cell, qx, qy)
+    in_upper = _is_inside(along, beside) & (upper[STRETCH] != 0)[cell]
+    proper = (upper[STRETCH] > 0) & (lower[STRETCH] > 0)
+    rest = np.flatnonzero(~(in_upper & proper[cell]) | (along + beside >= 1 - EDGE_TOLERANCE))
+    along_rest, beside_rest = _place(lower, cell[rest], qx[rest], qy[rest])
+    in_lower = _is_inside(along_rest, beside_rest) & (lower[STRETCH] != 0)[cell[rest]]
+    first = np.flatnonzero(in_upper)
+    second = rest[in_lower]
+    return (
+        np.concatenate([first, second]),
+        np.concatenate([cell[first], cell[second] + triangles.shape[2]]),
+        np.concatenate([along[first], along_rest[in_lower]]),
+        np.concatenate([beside[first], beside_rest[in_lower]]),
+    )
+
+
+def _place(triangles: AnyArray, cell: AnyArray, qx: AnyArray, qy: AnyArray) -> tuple[AnyArray, AnyArray]:
+    from_x = (qx - triangles[0][cell]).astype(np.float32)
+    from_y = (qy - triangles[1][cell]).astype(np.float32)
+    along = triangles[2][cell] * from_x + triangles[3][cell] * from_y
+    beside = triangles[4][cell] * from_x + triangles[5][cell] * from_y
+    return along, beside
+
+
+def _is_inside(along: AnyArray, beside: AnyArray) -> AnyArray:
+    return np.minimum(np.minimum(along, beside), 1 - along - beside) >= -EDGE_TOLERANCE
 
 
 def _least_stretched_first(target: AnyArray, stretch: AnyArray, covered: AnyArray) -> AnyArray:

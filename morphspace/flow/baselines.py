@@ -18,7 +18,7 @@ from morphspace.errors import BadInput
 from morphspace.flow import FlowFunction
 
 SMOOTHING = 0.02  # of the image's width; the sd that gave the best held-out faces of 0, 1, 2 and 3 %
-LUMA = np.float32([0.299, 0.587, 0.114])  # ITU-R BT.601
+LUMA = np.array([0.299, 0.587, 0.114], np.float32)  # ITU-R BT.601
 
 
 def grey_codes(image: Image) -> AnyArray:
@@ -34,7 +34,7 @@ def deepflow(reference: Image, frame: Image, start: Displacement | None = None) 
 
 def dis(reference: Image, frame: Image, start: Displacement | None = None) -> Displacement:
     """Estimate the flow by dense inverse search with hard settings: full resolution, 50 descents, smoothed."""
-    estimator = cv2.DISOpticalFlow_create(cv2.DISOPTICAL_FLOW_PRESET_MEDIUM)
+    estimator = cv2.DISOpticalFlow.create(cv2.DISOPTICAL_FLOW_PRESET_MEDIUM)
     estimator.setFinestScale(0)
     estimator.setPatchSize(12)
     estimator.setPatchStride(3)
@@ -46,7 +46,7 @@ def dis(reference: Image, frame: Image, start: Displacement | None = None) -> Di
 
 def dis_medium(reference: Image, frame: Image, start: Displacement | None = None) -> Displacement:
     """Estimate the flow by dense inverse search as its preset "medium" has it, unsmoothed: rough, and fast."""
-    estimator = cv2.DISOpticalFlow_create(cv2.DISOPTICAL_FLOW_PRESET_MEDIUM)
+    estimator = cv2.DISOpticalFlow.create(cv2.DISOPTICAL_FLOW_PRESET_MEDIUM)
     return _searched(estimator, reference, frame, start)
 
 

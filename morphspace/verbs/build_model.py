@@ -98,7 +98,9 @@ def run(request: BuildModelRequest) -> Steps[Outcome]:
     return Outcome(lines, document, (*notes, *build.warnings), (output, report))
 
 
-def build_clip(clip: Clip, request: BuildModelRequest, work_folder: Path) -> Steps[tuple[Build, tuple[str, ...]]]:
+def build_clip(
+    clip: Clip, request: BuildModelRequest, work_folder: Path
+) -> Steps[tuple[Build, tuple[str, ...]]]:
     """Build from an open clip; give the build, and notes on what was done to the frames."""
     check_request(request)
     framing = Framing(clip.size, request.crop, request.size or default_size(clip.size, request.crop))
@@ -121,7 +123,9 @@ def build_clip(clip: Clip, request: BuildModelRequest, work_folder: Path) -> Ste
         faceframe=faceframe,
         faceframe_index=faceframe_index,
     )
-    build = yield from build_steps(source, settings, work_folder, _provenance(clip, source, request, mask_digest))
+    build = yield from build_steps(
+        source, settings, work_folder, _provenance(clip, source, request, mask_digest)
+    )
     return build, tuple(notes)
 
 
@@ -171,11 +175,13 @@ def check_request(request: BuildModelRequest) -> None:
         raise BadInput(f"{request.components} components were asked for: ask for at least 1")
     weight = request.warp_weight
     if weight is not None and not (np.isfinite(weight) and weight > 0):
-        raise BadInput(f"a warp weight of {weight} cannot be used: give a number above 0 (colour per px), or auto")
+        raise BadInput(
+            f"a warp weight of {weight} cannot be used: give a number above 0 (colour per px), or auto"
+        )
 
 
 def default_size(source_size: tuple[int, int], crop: tuple[int, int, int, int] | None) -> tuple[int, int]:
-    """Give the model's frame size (w, h) where none was asked for: the frames' own, or 200 x 240 where they are large."""
+    """Give the model's frame size (w, h) where none was asked for: their own, or 200 x 240 where they are large."""
     size = crop[2:] if crop else source_size
     return DEFAULT_SIZE if max(size) > DEFAULT_SIDE_PX else (size[0], size[1])
 
@@ -188,7 +194,9 @@ def explained_variance(model: MorphModel) -> float:
     return kept / total if total > 0 else 1.0
 
 
-def _mask(path: Path | None, framing: Framing, source_size: tuple[int, int]) -> tuple[Mask | None, str | None]:
+def _mask(
+    path: Path | None, framing: Framing, source_size: tuple[int, int]
+) -> tuple[Mask | None, str | None]:
     if path is None:
         return None, None
     mask = read_mask(path)
@@ -209,7 +217,8 @@ def _index_of(reference: str, clip: Clip) -> int:
         if wanted in clip.frame_names:
             return clip.frame_names.index(wanted)
     raise BadInput(
-        f"there is no frame {reference!r} in {clip.name}: its frames are {clip.frame_names[0]} to {clip.frame_names[-1]}"
+        f"there is no frame {reference!r} in {clip.name}: its frames are {clip.frame_names[0]} to "
+        f"{clip.frame_names[-1]}"
     )
 
 

@@ -42,7 +42,12 @@ def run(request: EncodeRequest) -> Steps[Outcome]:
         f"{request.output}: {len(parts)} frames, {model.rank} components of {model.identity}, in SD; the furthest "
         f"value is {furthest:.1f} SD",
     )
-    document = {"table": str(request.output), "frames": len(parts), "components": model.rank, "furthest_sd": furthest}
+    document = {
+        "table": str(request.output),
+        "frames": len(parts),
+        "components": model.rank,
+        "furthest_sd": furthest,
+    }
     return Outcome(lines, document, (), written)
 
 

@@ -25,7 +25,9 @@ class EncodedFrame:
     loadings: Loadings
 
 
-def framed_for(model: MorphModel, sources: tuple[str, ...], crop: tuple[int, int, int, int] | None) -> FramedClip:
+def framed_for(
+    model: MorphModel, sources: tuple[str, ...], crop: tuple[int, int, int, int] | None
+) -> FramedClip:
     """Open a clip for a model: scaled to its frames, and cropped as its own frames were where the size is the same."""
     clip = open_clip(sources)
     built = model.provenance["framing"]

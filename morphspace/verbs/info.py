@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-from morphspace.model import load_model, model_digest, points_document
 from morphspace.errors import ModelFileError
+from morphspace.model import load_model, model_digest, points_document
 from morphspace.progress import Step, Steps
 from morphspace.verbs.build_model import explained_variance
 from morphspace.verbs.outcome import Outcome
@@ -41,11 +41,13 @@ def run(request: InfoRequest) -> Steps[Outcome]:
         f"{origin['reference']['frame']}, registration {model.registration}, flow {model.flow}",
         f"components {model.rank}, {explained_variance(model):.1%} of the variance, warp weight "
         f"{model.warp_weight:.4g} colour/px",
-        "shares     " + (", ".join(f"{share:.1%}" for share in shares[:SHOWN]) or "none: the frames do not differ"),
+        "shares     "
+        + (", ".join(f"{share:.1%}" for share in shares[:SHOWN]) or "none: the frames do not differ"),
         f"consent    {origin.get('consent') or 'not told'}",
         f"licence    {origin.get('licence') or 'not told'}",
         "faceframe  " + ("not marked" if model.faceframe is None else str(points_document(model.faceframe))),
-        "versions   " + ", ".join(f"{name} {version}" for name, version in sorted(origin["versions"].items())),
+        "versions   "
+        + ", ".join(f"{name} {version}" for name, version in sorted(origin["versions"].items())),
     ]
     document = {
         "model_id": model.model_id,

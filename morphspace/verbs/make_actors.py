@@ -53,5 +53,7 @@ def run(request: MakeActorsRequest) -> Steps[Outcome]:
         yield Step("draw", count, total)
     settings = {name: value for name, value in vars(request).items() if name != "output"}
     record = write_record(request.output, "make-actors", settings, {}, written)
-    lines = (f"{request.output}: {len(names)} actors of {request.frames} frames ({', '.join(names)}), truth in truth/",)
+    lines = (
+        f"{request.output}: {len(names)} actors of {request.frames} frames ({', '.join(names)}), truth in truth/",
+    )
     return Outcome(lines, {"output": str(request.output), "actors": list(names)}, (), (*written, record))

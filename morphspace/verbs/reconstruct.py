@@ -75,7 +75,9 @@ def run(request: ReconstructRequest) -> Steps[Outcome]:
     metrics = request.output / "metrics.csv"
     write_metrics_table(metrics, table)
     inputs = dict(zip(source.names, source.file_digests, strict=True))
-    loadings = write_loadings(request.output / "loadings.csv", joined(whole, parts), whole, request.model, inputs)
+    loadings = write_loadings(
+        request.output / "loadings.csv", joined(whole, parts), whole, request.model, inputs
+    )
     written += [metrics, *loadings]
     settings = {"components": model.rank, "model": str(request.model), "crop": request.crop}
     record = write_record(

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
@@ -45,7 +45,11 @@ def run(request: RenderRequest) -> Steps[Outcome]:
     if not np.isfinite(request.gain):
         raise BadInput(f"a gain of {request.gain} cannot be used: give a number, 1 for the faces as they are")
     loadings = table.loadings_sd * model.sd[: table.loadings_sd.shape[1]] * request.gain
-    settings: dict[str, Any] = {"gain": request.gain, "model": str(request.model), "table": str(request.table)}
+    settings: dict[str, Any] = {
+        "gain": request.gain,
+        "model": str(request.model),
+        "table": str(request.table),
+    }
     inputs = {"model": digest_of_file(request.model), "table": digest_of_file(request.table)}
     is_video = request.output.suffix.lower() in VIDEO_SUFFIXES
     total = len(table.frame_names)
@@ -60,7 +64,10 @@ def run(request: RenderRequest) -> Steps[Outcome]:
         written = (*written, write_record(request.output, "render", settings, inputs, written))
         lines = (f"{request.output}: {total} images",)
     if clipped:
-        notes = (*notes, f"{clipped} colour values left the range of the file and were clipped: lower the gain")
+        notes = (
+            *notes,
+            f"{clipped} colour values left the range of the file and were clipped: lower the gain",
+        )
     document = {"output": str(request.output), "frames": total, "clipped_values": clipped}
     return Outcome(lines, document, notes, written)
 
@@ -69,7 +76,9 @@ def check_table(model: MorphModel, table: LoadingsTable, path: Path) -> tuple[st
     """Raise where a table belongs to another model or has too many components; note where that cannot be told."""
     columns = table.loadings_sd.shape[1]
     if columns > model.rank:
-        raise BadInput(f"{path} has {columns} components, {model.identity} has {model.rank}: encode with this model")
+        raise BadInput(
+            f"{path} has {columns} components, {model.identity} has {model.rank}: encode with this model"
+        )
     if table.document is None:
         return (f"{path} has no sidecar: whether it belongs to this model cannot be checked",)
     named = table.document.get("model_id")
@@ -99,9 +108,11 @@ def write_frames(
     return clipped, tuple(written)
 
 
-def _video(model: MorphModel, loadings: LoadingTable, output: Path, rate: float) -> Steps[tuple[int, tuple[Path, ...]]]:
+def _video(
+    model: MorphModel, loadings: LoadingTable, output: Path, rate: float
+) -> Steps[tuple[int, tuple[Path, ...]]]:
     yield Step("render", 0, len(loadings))
-    encoding = "lossless" if output.suffix.lower() == ".mkv" else "people"
+    encoding: Literal["lossless", "people"] = "lossless" if output.suffix.lower() == ".mkv" else "people"
     clipped = write_video(output, rendered(model, loadings), frame_rate_hz=rate, encoding=encoding)
     yield Step("render", len(loadings), len(loadings))
     return clipped, (output,)

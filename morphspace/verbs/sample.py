@@ -33,7 +33,9 @@ def run(request: SampleRequest) -> Steps[Outcome]:
     if request.count < 1:
         raise BadInput(f"{request.count} faces were asked for: ask for at least 1")
     if not (np.isfinite(request.spread) and request.spread >= 0):
-        raise BadInput(f"a spread of {request.spread} cannot be used: give a number of at least 0, 1 for the model's own")
+        raise BadInput(
+            f"a spread of {request.spread} cannot be used: give a number of at least 0, 1 for the model's own"
+        )
     if request.seed < 0:
         raise BadInput(f"a seed of {request.seed} cannot be used: give a whole number of at least 0")
     check_folder(request.output)
@@ -43,7 +45,9 @@ def run(request: SampleRequest) -> Steps[Outcome]:
     table = write_loadings(request.output / "loadings.csv", loadings, model, request.model, {})
     written = (*images, *table)
     settings = {"count": request.count, "seed": request.seed, "spread": request.spread}
-    record = write_record(request.output, "sample", settings, {"model": digest_of_file(request.model)}, written)
+    record = write_record(
+        request.output, "sample", settings, {"model": digest_of_file(request.model)}, written
+    )
     lines = (f"{request.output}: {request.count} faces of {model.identity}, seed {request.seed}",)
     notes = (f"{clipped} colour values were clipped: lower the spread",) if clipped else ()
     return Outcome(lines, {"output": str(request.output), "faces": request.count}, notes, (*written, record))

@@ -22,7 +22,7 @@ FRAME_RATE_HZ = 25.0
 
 @dataclass(frozen=True)
 class SweepRequest:
-    """Sweep the first `components` of `model` from -`amount_sd` to +`amount_sd` in `steps`, into the folder `output`."""
+    """Sweep the first `components` of `model` from -`amount_sd` to +`amount_sd` in `steps`, into `output`."""
 
     model: Path
     output: Path
@@ -35,7 +35,9 @@ def run(request: SweepRequest) -> Steps[Outcome]:
     """Write pcNNN.png (a strip) and pcNNN.mp4 for each component. Returns an `Outcome`."""
     model = load_model(request.model)
     if request.components < 1 or request.steps < 2:
-        raise BadInput(f"{request.components} components in {request.steps} steps: ask for at least 1 in 2 steps")
+        raise BadInput(
+            f"{request.components} components in {request.steps} steps: ask for at least 1 in 2 steps"
+        )
     if not (np.isfinite(request.amount_sd) and request.amount_sd > 0):
         raise BadInput(f"an amount of {request.amount_sd} SD cannot be swept: give a number above 0")
     if model.rank == 0:
@@ -59,8 +61,13 @@ def run(request: SweepRequest) -> Steps[Outcome]:
         written += [strip, video]
         yield Step("sweep", component + 1, count)
     settings = {"components": count, "amount_sd": request.amount_sd, "steps": request.steps}
-    record = write_record(request.output, "sweep", settings, {"model": digest_of_file(request.model)}, written)
-    lines = (f"{request.output}: {count} components of {model.identity}, -{request.amount_sd:g} to +{request.amount_sd:g} SD",)
+    record = write_record(
+        request.output, "sweep", settings, {"model": digest_of_file(request.model)}, written
+    )
+    lines = (
+        f"{request.output}: {count} components of {model.identity}, "
+        f"-{request.amount_sd:g} to +{request.amount_sd:g} SD",
+    )
     notes = (f"{clipped} colour values were clipped: sweep fewer SD",) if clipped else ()
     document = {"output": str(request.output), "components": count, "amount_sd": request.amount_sd}
     return Outcome(lines, document, notes, (*written, record))

@@ -1,0 +1,157 @@
+"""What the report tells of each frame: every training frame is drawn from its loadings and compared with the original.
+
+One frame is in memory for each thread; what is kept are numbers, and small pictures of a few frames.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from morphspace import faces, warp
+from morphspace.arrays import AnyArray, Image, Mask
+from morphspace.build import Build
+from morphspace.files.colour import linear_of_srgb
+from morphspace.flow.baselines import LUMA
+from morphspace.measure import psnr_db, rms_px
+from morphspace.progress import Step, Steps, in_order
+
+SHEET_FRAMES = 24  # on the contact sheet; enough to see the range of a clip at one glance
+SHEET_WIDTH_PX = 160  # of a small picture; a sheet of eight columns shows it at about this size
+BLACK_LIGHT = 0.002  # added to linear light, so that sensor noise near black does not count as exposure
+DARK_SHARE = 0.35  # of the skin's luma; the open mouth is darker than that, lips and shadows on skin are not
+
+# Where the mouth lies, as shares of the frame (x, y centre, half axes), and measured from a faceframe as in `faces`.
+MOUTH_ELLIPSE = (0.50, 0.74, 0.19, 0.11)
+MOUTH_FROM_FACEFRAME = (0.0, 1.4, 0.6, 0.5)
+
+
+@dataclass(frozen=True, eq=False)
+class SheetFrame:
+    """One frame of the contact sheet: its index, and aligned and rebuilt picture (h, w, 3), both small."""
+
+    index: int
+    original: Image
+    rebuilt: Image
+
+
+@dataclass(frozen=True, eq=False)
+class FrameFigures:
+    """What was measured on each of n training frames; arrays (n,) in the order of the frames.
+
+    `psnr_db` of the frame drawn from all its loadings, inside the mask | `fold_fractions` of the same warp |
+    `luminance` mean luma inside the mask, 0 to 1 | `exposure_stops` light of the rigid part of the face against the
+    reference, log2 | `mahalanobis` length of the loadings in SD | `rigid_motion_px` rms warp left in the rigid part
+    after registration | `mouth_dark` share of the mouth region darker than open skin | `sheet` for the contact sheet.
+    """
+
+    psnr_db: AnyArray
+    fold_fractions: AnyArray
+    luminance: AnyArray
+    exposure_stops: AnyArray
+    mahalanobis: AnyArray
+    rigid_motion_px: AnyArray
+    mouth_dark: AnyArray
+    sheet: tuple[SheetFrame, ...]
+
+
+def measure_frames(build: Build) -> Steps[FrameFigures]:
+    """Draw each training frame from its loadings and measure it; a generator of steps. Ours.
+
+    Memory does not grow with the number of frames, but for a few numbers each and at most `SHEET_FRAMES` small pictures.
+    """
+    model = build.model
+    count = len(model.training.frame_names)
+    sheet_indices = set(spread(count, SHEET_FRAMES))
+    regions = _Regions(build)
+    loadings = model.training.values
+    lengths = np.sqrt(((loadings / np.maximum(model.sd, np.finfo(float).tiny)) ** 2).sum(axis=1))
+
+    def measure(index: int) -> tuple[tuple[float, ...], SheetFrame | None]:
+        frame, _ = build.frame(index)
+        morph = model.expand(loadings[index])
+        rebuilt = morph.render()
+        figures = (
+            psnr_db(rebuilt, frame.image, model.mask),
+            warp.fold_fraction(morph.displacement, model.mask),
+            *regions.light(frame.image),
+            rms_px(morph.displacement, regions.rigid_on_mean),
+        )
+        if index not in sheet_indices:
+            return figures, None
+        return figures, SheetFrame(index, small(frame.image), small(rebuilt))
+
+    table: list[tuple[float, ...]] = []
+    sheet: list[SheetFrame] = []
+    for figures, pictures in in_order(measure, range(count)):
+        table.append(figures)
+        if pictures is not None:
+            sheet.append(pictures)
+        yield Step("report", len(table), count)
+    psnr, folds, luminance, stops, dark, rigid = np.array(table, np.float64).T
+    return FrameFigures(psnr, folds, luminance, stops, lengths, rigid, dark, tuple(sheet))
+
+
+def spread(count: int, most: int) -> list[int]:
+    """Give at most `most` indices of 0 to `count` - 1, evenly spread, the first and the last among them."""
+    return [int(i) for i in np.unique(np.linspace(0, count - 1, min(count, most)).round())]
+
+
+def small(image: Image) -> Image:
+    """Give a picture (h, w, 3) at most `SHEET_WIDTH_PX` wide, averaged over areas."""
+    height, width = image.shape[:2]
+    if width <= SHEET_WIDTH_PX:
+        return image
+    size = SHEET_WIDTH_PX, max(1, round(height * SHEET_WIDTH_PX / width))
+    return np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA))
+
+
+def mouth_region(height: int, width: int, faceframe: faces.FaceFrame | None) -> Mask:
+    """Give where the mouth is to be expected, (h, w) of 0 and 1: by the faceframe, else in a cropped face."""
+    y, x = np.mgrid[:height, :width].astype(np.float64)
+    if faceframe is None:
+        centre_x, centre_y, half_x, half_y = np.array(MOUTH_ELLIPSE) * (width, height, width, height)
+        across, down = (x - centre_x) / half_x, (y - centre_y) / half_y
+    else:
+        right, left, lip = faceframe.points
+        eyes = (right + left) / 2
+        shift_x, shift_y, size_x, size_y = MOUTH_FROM_FACEFRAME
+        offset = np.stack([x, y], axis=-1) - (eyes + shift_x * (left - right) + shift_y * (lip - eyes))
+        across = offset @ (left - right) / ((left - right) @ (left - right)) / size_x
+        down = offset @ (lip - eyes) / ((lip - eyes) @ (lip - eyes)) / size_y
+    return (across**2 + down**2 <= 1).astype(np.float32)
+
+
+class _Regions:
+    """The parts of the face that are measured, prepared once: rigid part and mouth on the reference and the mean."""
+
+    def __init__(self, build: Build) -> None:
+        model = build.model
+        height, width = model.mask.shape
+        self.inside = model.mask
+        self.total = max(float(model.mask.sum()), 1e-12)
+        rigid = faces.rigid_region(height, width, model.reference_faceframe)
+        self.rigid_on_mean = faces.rigid_region(height, width, model.faceframe)
+        self.rigid = np.flatnonzero((rigid > 0.5).reshape(-1))
+        self.mouth = np.flatnonzero(mouth_region(height, width, model.reference_faceframe).reshape(-1))
+        self.reference_light = self._rigid_light(model.reference)
+
+    def light(self, image: Image) -> tuple[float, float, float]:
+        """Give luminance, exposure and mouth darkness of an aligned frame (h, w, 3)."""
+        luma = image @ LUMA
+        mean = float((luma * self.inside).sum(dtype=np.float64) / self.total)
+        if not self.rigid.size:
+            return mean, 0.0, 0.0
+        ratio = self._rigid_light(image) / self.reference_light
+        # The median does not follow a blink or a raised brow, as the mean would.
+        stops = float(np.log2(np.median(ratio)))
+        skin = float(np.median(luma.reshape(-1)[self.rigid]))
+        mouth = luma.reshape(-1)[self.mouth]
+        dark = float((mouth < DARK_SHARE * skin).mean()) if mouth.size else 0.0
+        return mean, stops, dark
+
+    def _rigid_light(self, image: Image) -> AnyArray:
+        colours = np.clip(image.reshape(-1, 3)[self.rigid], 0, 1)
+        return linear_of_srgb(colours) @ LUMA + np.float32(BLACK_LIGHT)

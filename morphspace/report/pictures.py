@@ -1,0 +1,157 @@
+"""The report's pictures, each inside the page as a data address: photographs as JPEG, maps as PNG."""
+
+from __future__ import annotations
+
+import base64
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from morphspace import warp
+from morphspace.arrays import AnyArray, Image, Mask
+from morphspace.basis import Basis
+from morphspace.files.images import jpeg_bytes, png_bytes
+from morphspace.flow.baselines import LUMA
+from morphspace.measure import rms_px
+from morphspace.model import MorphModel
+from morphspace.morph import Morph, parts_of
+from morphspace.progress import in_order
+from morphspace.report.markup import Html, element
+
+JPEG_QUALITY = 88  # on faces of this size its errors cannot be seen, and a page stays below a few megabytes
+STRIP_WIDTH_PX = 160  # of a component's pictures; larger models are drawn at this width, not shrunk afterwards
+STRIP_AMOUNTS_SD = (-2, -1, 0, 1, 2)
+GAP_PX = 3  # between the two pictures of a contact sheet
+FOLD_SIDE_PX = 300  # below it a fold map is drawn at twice the size, so that single cells can be seen
+FOLD_PALE = 0.55  # how far a fold map's face is moved towards white, so that the marks stand out
+FOLD_RED = np.float32([0.80, 0.05, 0.05])
+FOLD_OUTSIDE = np.float32([0.95, 0.62, 0.20])  # folded, but outside the mask
+CHANGE_INK = np.float32([0.10, 0.30, 0.42])
+
+
+@dataclass(frozen=True, eq=False)
+class ComponentStrip:
+    """A component's pictures at `STRIP_AMOUNTS_SD`, and how much one SD of it moves and colours the face.
+
+    `pictures` five (h, w, 3) | `motion_px` rms inside the mask, px at the model's size | `colour` rms inside the mask,
+    0 to 1 | `change` (h, w) mean absolute change of luma from one end to the other.
+    """
+
+    pictures: tuple[Image, ...]
+    motion_px: float
+    colour: float
+    change: AnyArray
+
+
+def photograph(image: Image, alt: str) -> Html:
+    """Give an image (h, w, 3) as a JPEG on the page."""
+    return _picture("jpeg", jpeg_bytes(image, JPEG_QUALITY), image, alt)
+
+
+def chart(image: Image, alt: str) -> Html:
+    """Give a map (h, w, 3) as a PNG on the page, so that its marks stay sharp."""
+    return _picture("png", png_bytes(image), image, alt)
+
+
+def _picture(kind: str, content: bytes, image: Image, alt: str) -> Html:
+    address = f"data:image/{kind};base64,{base64.b64encode(content).decode('ascii')}"
+    return element("img", src=address, alt=alt, width=image.shape[1], height=image.shape[0])
+
+
+def stacked(upper: Image, lower: Image) -> Image:
+    """Put one picture above the other of the same width, with a white gap."""
+    gap = np.ones((GAP_PX, upper.shape[1], 3), np.float32)
+    return np.concatenate([upper, gap, lower])
+
+
+def component_strips(model: MorphModel, count: int) -> Iterator[ComponentStrip]:
+    """Draw the first `count` components, one after the other, at a width of at most `STRIP_WIDTH_PX`."""
+    small_mean = _small(model.mean)
+    mean_picture = small_mean.render()
+    small_mask = _resized(model.mask, small_mean)
+    weight = max(float(model.mask.sum()), 1e-12)
+
+    def draw(number: int) -> ComponentStrip:
+        component: Basis = model.basis
+        vector = component.components[number] * np.float32(model.sd[number])
+        texture, displacement = parts_of(vector, *model.mask.shape)
+        motion = rms_px(displacement, model.mask)
+        square = (texture * texture).mean(axis=2)
+        colour = float(np.sqrt((square * model.mask).sum(dtype=np.float64) / weight))
+        offset = _small(Morph(displacement, texture, model.mean.reference_id))
+        pictures = []
+        for amount in STRIP_AMOUNTS_SD:
+            if amount == 0:
+                pictures.append(mean_picture)
+                continue
+            moved = small_mean.displacement + np.float32(amount) * offset.displacement
+            painted = small_mean.texture + np.float32(amount) * offset.texture
+            pictures.append(warp.render(painted, moved))
+        change = np.abs((pictures[-1] - pictures[0]) @ LUMA) * small_mask
+        return ComponentStrip(tuple(pictures), motion, colour, change)
+
+    return in_order(draw, range(min(count, model.rank)))
+
+
+def _small(morph: Morph) -> Morph:
+    height, width = morph.texture.shape[:2]
+    if width <= STRIP_WIDTH_PX:
+        return morph
+    size = STRIP_WIDTH_PX, max(1, round(height * STRIP_WIDTH_PX / width))
+    scale = np.float32([size[0] / width, size[1] / height])
+    displacement = cv2.resize(morph.displacement, size, interpolation=cv2.INTER_AREA) * scale
+    texture = cv2.resize(morph.texture, size, interpolation=cv2.INTER_AREA)
+    return Morph(displacement, texture, morph.reference_id)
+
+
+def _resized(mask: Mask, morph: Morph) -> Mask:
+    height, width = morph.texture.shape[:2]
+    if mask.shape == (height, width):
+        return mask
+    return np.asarray(cv2.resize(mask, (width, height), interpolation=cv2.INTER_AREA))
+
+
+def change_chart(change: AnyArray, full: float) -> Image:
+    """Give a map (h, w) of change as a picture: white is none, dark blue is `full` or more."""
+    share = np.clip(change / max(full, 1e-6), 0, 1)[..., None].astype(np.float32)
+    return (1 - share + share * CHANGE_INK).astype(np.float32)
+
+
+def fold_chart(morph: Morph, mask: Mask) -> Image:
+    """Mark on a frame's texture the cells its warp turns over: red inside the mask, orange outside."""
+    folded = warp.determinants(morph.displacement) <= 0
+    face = np.clip(morph.texture, 0, 1) @ LUMA
+    face = face + FOLD_PALE * (1 - face)
+    zoom = 2 if face.shape[1] < FOLD_SIDE_PX else 1
+    picture = np.repeat(_zoomed(face, zoom)[..., None], 3, axis=2).astype(np.float32)
+    inside = mask[:-1, :-1] > 0.5
+    start = zoom // 2  # a cell lies between the centres of its corner pixels
+    for cells, colour in ((folded & ~inside, FOLD_OUTSIDE), (folded & inside, FOLD_RED)):
+        marked = _zoomed(cells, zoom)
+        part = picture[start : start + marked.shape[0], start : start + marked.shape[1]]
+        part[marked] = colour
+    return picture
+
+
+def _zoomed(values: AnyArray, zoom: int) -> AnyArray:
+    return np.repeat(np.repeat(values, zoom, axis=0), zoom, axis=1)
+
+
+def outlines(mask: Mask, kind: str, level: float = 0.5) -> list[Html]:
+    """Give the lines along which a mask (h, w) passes `level`, as paths of a drawing over the picture."""
+    inside = (mask > level).astype(np.uint8)
+    contours, _ = cv2.findContours(inside, cv2.RETR_LIST, cv2.CHAIN_APPROX_SIMPLE)
+    paths = []
+    for contour in contours:
+        steps = "L".join(f"{x} {y}" for x, y in contour.reshape(-1, 2).tolist())
+        paths.append(element("path", d=f"M{steps}Z", class_=kind))
+    return paths
+
+
+def drawn_over(picture: Html, image: Image, parts: list[Html]) -> Html:
+    """Lay a drawing in the image's own px over its picture on the page; pixel centres are at integers."""
+    height, width = image.shape[:2]
+    drawing = element("svg", *parts, viewBox=f"-0.5 -0.5 {width} {height}", aria_hidden="true")
+    return element("div", picture, drawing, class_="over")
