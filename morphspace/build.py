@@ -174,12 +174,18 @@ def build_steps(
 
 def _choose_reference(source: FrameSource, settings: BuildSettings) -> Steps[ReferenceChoice]:
     if settings.reference is not None:
+        if not 0 <= settings.reference < len(source.names):
+            raise BadInput(
+                f"reference {settings.reference} was asked for, there are {len(source.names)} frames: "
+                f"choose 0 to {len(source.names) - 1}"
+            )
         name = source.names[settings.reference]
         return ReferenceChoice(settings.reference, name, "it was asked for")
     indices = candidate_indices(len(source.names))
     small: list[Image] = []
     mask: Mask = np.zeros((0, 0), np.float32)
-    for image in source.images(indices):
+    (first,) = source.images(indices[:1])
+    for _, image in _same_size(source, indices, first):
         height, width = image.shape[:2]
         face = faces.face_mask(height, width, settings.faceframe)
         image, mask = shrunk(image, face)
@@ -249,7 +255,7 @@ def _same_size(source: FrameSource, indices: list[int], reference: Image) -> Ite
     for index, image in zip(indices, source.images(indices), strict=True):
         if image.shape != reference.shape:
             raise BadInput(
-                f"{source.names[index]} is {image.shape[1]}x{image.shape[0]}, the reference is "
+                f"{source.names[index]} is {image.shape[1]}x{image.shape[0]}, the frames before are "
                 f"{reference.shape[1]}x{reference.shape[0]}: bring the frames to one size"
             )
         yield index, image

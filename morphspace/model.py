@@ -295,7 +295,8 @@ def _check_header(path: Path, document: Mapping[str, Any], arrays: Mapping[str, 
             )
     height, width = arrays["mask"].shape
     k = len(arrays["variances"])
-    frames = len(document.get("training_frames", ()))
+    names = document.get("training_frames")
+    frames = len(names) if isinstance(names, list) else 0
     expected = {
         "components": (k, 5 * height * width),
         "mean_texture": (height, width, 3),

@@ -16,6 +16,7 @@ from typing import Protocol
 import numpy as np
 
 from morphspace.arrays import AnyArray, Rows
+from morphspace.errors import UnwritableFile
 
 BLOCK_BYTES = 24 << 20  # a block of columns in float64; several live at once
 
@@ -38,8 +39,13 @@ class RowFile:
 
     def __init__(self, path: Path, rows: int, width: int) -> None:
         self.shape = (rows, width)
+        self.path = path
         self._file = os.open(path, os.O_RDWR | os.O_CREAT, 0o600)
-        os.ftruncate(self._file, rows * width * 4)
+        try:
+            os.ftruncate(self._file, rows * width * 4)
+        except OSError as error:
+            os.close(self._file)
+            raise self._full(error) from error
 
     def __enter__(self) -> RowFile:
         return self
@@ -60,8 +66,18 @@ class RowFile:
     def _write(self, data: AnyArray, offset: int) -> None:
         view = data.view(np.uint8).data
         while len(view):
-            written = os.pwrite(self._file, view, offset)
+            try:
+                written = os.pwrite(self._file, view, offset)
+            except OSError as error:
+                raise self._full(error) from error
             view, offset = view[written:], offset + written
+
+    def _full(self, error: OSError) -> UnwritableFile:
+        gigabytes = self.shape[0] * self.shape[1] * 4 / 1e9
+        return UnwritableFile(
+            f"cannot write {self.path}: {error.strerror}; the morphs of {self.shape[0]} frames take {gigabytes:.2g} GB: "
+            "make room, or choose another work folder"
+        )
 
     def row(self, index: int) -> AnyArray:
         """Give row `index`, (d,) float32."""

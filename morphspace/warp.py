@@ -175,7 +175,9 @@ def _sources(step_x: AnyArray, step_y: AnyArray) -> tuple[AnyArray, AnyArray, An
     """Give where each triangle's corner o stood before it moved, and how far its edges reached: x, dx, y, dy, flat."""
     shape = (len(step_y) - 1, len(step_x) - 1)
     wide, high = np.diff(step_x), np.diff(step_y)
-    columns = np.array([[step_x[:-1], step_x[1:]], [wide, -wide]])  # upper triangles start left, lower ones right
+    columns = np.array(
+        [[step_x[:-1], step_x[1:]], [wide, -wide]]
+    )  # upper triangles start left, lower ones right
     rows = np.array([[step_y[:-1], step_y[1:]], [high, -high]])
     spread_x = np.broadcast_to(columns[:, :, None, :], (2, 2, *shape)).reshape(2, -1)
     spread_y = np.broadcast_to(rows[:, :, :, None], (2, 2, *shape)).reshape(2, -1)
@@ -224,8 +226,16 @@ def _triangles(x: AnyArray, y: AnyArray) -> AnyArray:
     """
     out = np.empty((7, 2, (x.shape[0] - 1) * (x.shape[1] - 1)), np.float32)
     corners = (
-        ((slice(None, -1), slice(None, -1)), (slice(None, -1), slice(1, None)), (slice(1, None), slice(None, -1))),
-        ((slice(1, None), slice(1, None)), (slice(1, None), slice(None, -1)), (slice(None, -1), slice(1, None))),
+        (
+            (slice(None, -1), slice(None, -1)),
+            (slice(None, -1), slice(1, None)),
+            (slice(1, None), slice(None, -1)),
+        ),
+        (
+            (slice(1, None), slice(1, None)),
+            (slice(1, None), slice(None, -1)),
+            (slice(None, -1), slice(1, None)),
+        ),
     )
     for side, (o, e, f) in enumerate(corners):
         ex, ey, fx, fy = x[e] - x[o], y[e] - y[o], x[f] - x[o], y[f] - y[o]

@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 
 from morphspace import faces, warp
-from morphspace.arrays import AnyArray, Image, Mask
+from morphspace.arrays import AnyArray, Displacement, Image, Mask
 from morphspace.build import Build
 from morphspace.files.colour import linear_of_srgb
 from morphspace.flow.baselines import LUMA
@@ -21,10 +21,9 @@ from morphspace.progress import Step, Steps, in_order
 SHEET_FRAMES = 24  # on the contact sheet; enough to see the range of a clip at one glance
 SHEET_WIDTH_PX = 160  # of a small picture; a sheet of eight columns shows it at about this size
 BLACK_LIGHT = 0.002  # added to linear light, so that sensor noise near black does not count as exposure
-DARK_SHARE = 0.35  # of the skin's luma; the open mouth is darker than that, lips and shadows on skin are not
 
 # Where the mouth lies, as shares of the frame (x, y centre, half axes), and measured from a faceframe as in `faces`.
-MOUTH_ELLIPSE = (0.50, 0.74, 0.19, 0.11)
+MOUTH_ELLIPSE = (0.50, 0.77, 0.19, 0.11)  # below the nostrils, which are dark too
 MOUTH_FROM_FACEFRAME = (0.0, 1.4, 0.6, 0.5)
 
 
@@ -44,7 +43,7 @@ class FrameFigures:
     `psnr_db` of the frame drawn from all its loadings, inside the mask | `fold_fractions` of the same warp |
     `luminance` mean luma inside the mask, 0 to 1 | `exposure_stops` light of the rigid part of the face against the
     reference, log2 | `mahalanobis` length of the loadings in SD | `rigid_motion_px` rms warp left in the rigid part
-    after registration | `mouth_dark` share of the mouth region darker than open skin | `sheet` for the contact sheet.
+    after registration | `mouth_contrast` SD of luma in the mouth region over the skin's luma | `sheet` small pictures.
     """
 
     psnr_db: AnyArray
@@ -53,14 +52,14 @@ class FrameFigures:
     exposure_stops: AnyArray
     mahalanobis: AnyArray
     rigid_motion_px: AnyArray
-    mouth_dark: AnyArray
+    mouth_contrast: AnyArray
     sheet: tuple[SheetFrame, ...]
 
 
 def measure_frames(build: Build) -> Steps[FrameFigures]:
     """Draw each training frame from its loadings and measure it; a generator of steps. Ours.
 
-    Memory does not grow with the number of frames, but for a few numbers each and at most `SHEET_FRAMES` small pictures.
+    Memory does not grow with the frames, but for a few numbers each and at most `SHEET_FRAMES` small pictures.
     """
     model = build.model
     count = len(model.training.frame_names)
@@ -74,10 +73,10 @@ def measure_frames(build: Build) -> Steps[FrameFigures]:
         morph = model.expand(loadings[index])
         rebuilt = morph.render()
         figures = (
-            psnr_db(rebuilt, frame.image, model.mask),
+            regions.psnr_db(rebuilt, frame.image),
             warp.fold_fraction(morph.displacement, model.mask),
             *regions.light(frame.image),
-            rms_px(morph.displacement, regions.rigid_on_mean),
+            regions.rigid_motion_px(morph.displacement),
         )
         if index not in sheet_indices:
             return figures, None
@@ -90,8 +89,8 @@ def measure_frames(build: Build) -> Steps[FrameFigures]:
         if pictures is not None:
             sheet.append(pictures)
         yield Step("report", len(table), count)
-    psnr, folds, luminance, stops, dark, rigid = np.array(table, np.float64).T
-    return FrameFigures(psnr, folds, luminance, stops, lengths, rigid, dark, tuple(sheet))
+    psnr, folds, luminance, stops, contrast, rigid = np.array(table, np.float64).T
+    return FrameFigures(psnr, folds, luminance, stops, lengths, rigid, contrast, tuple(sheet))
 
 
 def spread(count: int, most: int) -> list[int]:
@@ -121,7 +120,8 @@ def mouth_region(height: int, width: int, faceframe: faces.FaceFrame | None) -> 
         offset = np.stack([x, y], axis=-1) - (eyes + shift_x * (left - right) + shift_y * (lip - eyes))
         across = offset @ (left - right) / ((left - right) @ (left - right)) / size_x
         down = offset @ (lip - eyes) / ((lip - eyes) @ (lip - eyes)) / size_y
-    return (across**2 + down**2 <= 1).astype(np.float32)
+    inside: Mask = (across**2 + down**2 <= 1).astype(np.float32)
+    return inside
 
 
 class _Regions:
@@ -133,13 +133,25 @@ class _Regions:
         self.inside = model.mask
         self.total = max(float(model.mask.sum()), 1e-12)
         rigid = faces.rigid_region(height, width, model.reference_faceframe)
-        self.rigid_on_mean = faces.rigid_region(height, width, model.faceframe)
+        self.face_box = _box_of(model.mask)
+        rigid_on_mean = faces.rigid_region(height, width, model.faceframe)
+        self.rigid_box = _box_of(rigid_on_mean)
+        self.rigid_on_mean = rigid_on_mean[self.rigid_box]
         self.rigid = np.flatnonzero((rigid > 0.5).reshape(-1))
         self.mouth = np.flatnonzero(mouth_region(height, width, model.reference_faceframe).reshape(-1))
         self.reference_light = self._rigid_light(model.reference)
 
+    def psnr_db(self, image: Image, truth: Image) -> float:
+        """Give the PSNR inside the mask; what lies around the mask's box counts nothing and is not touched."""
+        box = self.face_box
+        return psnr_db(image[box], truth[box], self.inside[box])
+
+    def rigid_motion_px(self, displacement: Displacement) -> float:
+        """Give the rms length of a displacement on the mean face's rigid part."""
+        return rms_px(displacement[self.rigid_box], self.rigid_on_mean)
+
     def light(self, image: Image) -> tuple[float, float, float]:
-        """Give luminance, exposure and mouth darkness of an aligned frame (h, w, 3)."""
+        """Give luminance, exposure and mouth contrast of an aligned frame (h, w, 3)."""
         luma = image @ LUMA
         mean = float((luma * self.inside).sum(dtype=np.float64) / self.total)
         if not self.rigid.size:
@@ -149,9 +161,17 @@ class _Regions:
         stops = float(np.log2(np.median(ratio)))
         skin = float(np.median(luma.reshape(-1)[self.rigid]))
         mouth = luma.reshape(-1)[self.mouth]
-        dark = float((mouth < DARK_SHARE * skin).mean()) if mouth.size else 0.0
-        return mean, stops, dark
+        contrast = float(mouth.std()) / max(skin, BLACK_LIGHT) if mouth.size else 0.0
+        return mean, stops, contrast
 
     def _rigid_light(self, image: Image) -> AnyArray:
         colours = np.clip(image.reshape(-1, 3)[self.rigid], 0, 1)
-        return linear_of_srgb(colours) @ LUMA + np.float32(BLACK_LIGHT)
+        light: AnyArray = linear_of_srgb(colours) @ LUMA + np.float32(BLACK_LIGHT)
+        return light
+
+
+def _box_of(mask: Mask) -> tuple[slice, slice]:
+    rows, columns = np.flatnonzero(mask.any(axis=1)), np.flatnonzero(mask.any(axis=0))
+    if not rows.size:
+        return slice(0, mask.shape[0]), slice(0, mask.shape[1])
+    return slice(int(rows[0]), int(rows[-1]) + 1), slice(int(columns[0]), int(columns[-1]) + 1)

@@ -14,15 +14,16 @@ Html = NewType("Html", str)
 
 VOID_ELEMENTS = ("img", "meta")  # the ones used here that have no end tag
 NOTHING = Html("")
+TIMES, MINUS, DASH = "\N{MULTIPLICATION SIGN}", "\N{MINUS SIGN}", "\N{EN DASH}"
 
 
 def text(value: object) -> Html:
-    """Give any value as text of a page: escaped, without control characters, and with names that are not UTF-8 mended."""
+    """Give any value as text of a page: escaped, without control characters, what is not UTF-8 as question marks."""
     words = str(value).encode("utf-8", "replace").decode("utf-8")
     return Html(html.escape("".join(c if c.isprintable() else " " for c in words), quote=True))
 
 
-def element(name: str, *parts: Html, **attributes: object) -> Html:
+def element(name: str, /, *parts: Html, **attributes: object) -> Html:
     """Give `<name attributes>parts</name>`. `class_` stands for class, and an underscore in a name for a hyphen."""
     written = "".join(
         f' {key.rstrip("_").replace("_", "-")}="{text(value)}"' for key, value in attributes.items()

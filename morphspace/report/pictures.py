@@ -11,7 +11,6 @@ import numpy as np
 
 from morphspace import warp
 from morphspace.arrays import AnyArray, Image, Mask
-from morphspace.basis import Basis
 from morphspace.files.images import jpeg_bytes, png_bytes
 from morphspace.flow.baselines import LUMA
 from morphspace.measure import rms_px
@@ -21,14 +20,17 @@ from morphspace.progress import in_order
 from morphspace.report.markup import Html, element
 
 JPEG_QUALITY = 88  # on faces of this size its errors cannot be seen, and a page stays below a few megabytes
-STRIP_WIDTH_PX = 160  # of a component's pictures; larger models are drawn at this width, not shrunk afterwards
+STRIP_WIDTH_PX = (
+    160  # of a component's pictures; larger models are drawn at this width, not shrunk afterwards
+)
 STRIP_AMOUNTS_SD = (-2, -1, 0, 1, 2)
 GAP_PX = 3  # between the two pictures of a contact sheet
 FOLD_SIDE_PX = 300  # below it a fold map is drawn at twice the size, so that single cells can be seen
+FINER = 4  # times, when a mask's outline is drawn; else it shows the pixels' steps
 FOLD_PALE = 0.55  # how far a fold map's face is moved towards white, so that the marks stand out
-FOLD_RED = np.float32([0.80, 0.05, 0.05])
-FOLD_OUTSIDE = np.float32([0.95, 0.62, 0.20])  # folded, but outside the mask
-CHANGE_INK = np.float32([0.10, 0.30, 0.42])
+FOLD_RED = np.array([0.80, 0.05, 0.05], np.float32)
+FOLD_OUTSIDE = np.array([0.95, 0.62, 0.20], np.float32)  # folded, but outside the mask
+CHANGE_INK = np.array([0.10, 0.30, 0.42], np.float32)
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,8 +76,7 @@ def component_strips(model: MorphModel, count: int) -> Iterator[ComponentStrip]:
     weight = max(float(model.mask.sum()), 1e-12)
 
     def draw(number: int) -> ComponentStrip:
-        component: Basis = model.basis
-        vector = component.components[number] * np.float32(model.sd[number])
+        vector = model.basis.components[number] * np.float32(model.sd[number])
         texture, displacement = parts_of(vector, *model.mask.shape)
         motion = rms_px(displacement, model.mask)
         square = (texture * texture).mean(axis=2)
@@ -100,7 +101,7 @@ def _small(morph: Morph) -> Morph:
     if width <= STRIP_WIDTH_PX:
         return morph
     size = STRIP_WIDTH_PX, max(1, round(height * STRIP_WIDTH_PX / width))
-    scale = np.float32([size[0] / width, size[1] / height])
+    scale = np.array([size[0] / width, size[1] / height], np.float32)
     displacement = cv2.resize(morph.displacement, size, interpolation=cv2.INTER_AREA) * scale
     texture = cv2.resize(morph.texture, size, interpolation=cv2.INTER_AREA)
     return Morph(displacement, texture, morph.reference_id)
@@ -141,11 +142,14 @@ def _zoomed(values: AnyArray, zoom: int) -> AnyArray:
 
 def outlines(mask: Mask, kind: str, level: float = 0.5) -> list[Html]:
     """Give the lines along which a mask (h, w) passes `level`, as paths of a drawing over the picture."""
-    inside = (mask > level).astype(np.uint8)
-    contours, _ = cv2.findContours(inside, cv2.RETR_LIST, cv2.CHAIN_APPROX_SIMPLE)
+    height, width = mask.shape
+    fine = cv2.resize(mask, (width * FINER, height * FINER), interpolation=cv2.INTER_LINEAR)
+    inside = (fine > level).astype(np.uint8)
+    contours, _ = cv2.findContours(inside, cv2.RETR_LIST, cv2.CHAIN_APPROX_NONE)
     paths = []
     for contour in contours:
-        steps = "L".join(f"{x} {y}" for x, y in contour.reshape(-1, 2).tolist())
+        points = (cv2.approxPolyDP(contour, 1.0, True).reshape(-1, 2) + 0.5) / FINER - 0.5
+        steps = "L".join(f"{x:.2f} {y:.2f}" for x, y in points.tolist())
         paths.append(element("path", d=f"M{steps}Z", class_=kind))
     return paths
 

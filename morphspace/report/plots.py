@@ -14,7 +14,7 @@ from morphspace.report.markup import Html, element, text
 
 PLOT_SIZE = (1040, 300)
 SMALL_SIZE = (510, 190)
-LEFT, RIGHT, TOP, BOTTOM = 52, 14, 12, 34  # px kept free around the drawing for the axes' words
+LEFT, RIGHT, TOP, BOTTOM = 52, 14, 28, 34  # px kept free around the drawing for the axes' words
 LABEL_ROW_PX = 17  # height of one named point's row under the lowest point
 LABEL_CHARACTERS = 40  # a longer name is cut in a plot; the table below gives it whole
 POINTS_AT_MOST = 160  # with more, dots run together and the line alone is clearer
@@ -64,7 +64,7 @@ def line_plot(
     in a row of its own so that neighbours do not cover each other; `dot` is one point set off, such as the reference.
     """
     width, height = plot.size
-    low, high = min(*values, *values), max(*values, *values)
+    low, high = min(values), max(values)
     spare = max(plot.least_range - (high - low), 0.0) / 2
     ticks = round_ticks(low - spare, high + spare, 5 if height > 200 else 4)
     floor_y = height - BOTTOM - LABEL_ROW_PX * len(worst)
@@ -85,18 +85,27 @@ def line_plot(
     parts.append(element("path", d=_path(points), class_="series"))
     if count <= POINTS_AT_MOST:
         parts += [_circle(x, y, 1.8, "point") for x, y in points]
-    for row, mark in enumerate(sorted(worst, key=lambda mark: mark.index)):
-        x, y = points[mark.index]
-        base = floor_y + LABEL_ROW_PX * (row + 1) - 4
-        anchor = "start" if x < width * 0.6 else "end"
-        parts.append(_line(x, y + 4, x, base, "leader"))
-        parts.append(_circle(x, y, 3.5, "worst"))
-        shift = 5 if anchor == "start" else -5
-        parts.append(_words(x + shift, base, _short(mark.label), "name", anchor))
+    parts += _named(worst, points, floor_y, width)
     if dot is not None:
         x, y = points[dot.index]
-        parts.append(element("circle", element("title", text(dot.label)), cx=_n(x), cy=_n(y), r="4", class_="dot"))
+        parts.append(
+            element("circle", element("title", text(dot.label)), cx=_n(x), cy=_n(y), r="4", class_="dot")
+        )
     return _drawing(plot, parts)
+
+
+def _named(
+    worst: Sequence[Mark], points: Sequence[tuple[float, float]], floor_y: float, width: int
+) -> list[Html]:
+    """Name points in rows beneath the line: names grow towards the middle, the innermost point's in the top row."""
+    lines, names = [], []
+    for row, mark in enumerate(sorted(worst, key=lambda mark: abs(points[mark.index][0] - width / 2))):
+        x, y = points[mark.index]
+        base = floor_y + LABEL_ROW_PX * (row + 1) - 4
+        lines += [_line(x, y + 4, x, base, "leader"), _circle(x, y, 3.5, "worst")]
+        shift, anchor = (5, "start") if x < width / 2 else (-5, "end")
+        names.append(_words(x + shift, base, _short(mark.label), "name", anchor))
+    return lines + names
 
 
 def share_plot(plot: Plot, shares: Sequence[float], reached: Sequence[Mark]) -> Html:
@@ -111,18 +120,23 @@ def share_plot(plot: Plot, shares: Sequence[float], reached: Sequence[Mark]) -> 
     points = [place(0, 0), *(place(number + 1, share) for number, share in enumerate(shares))]
     parts = [_grid_line(place(0, tick)[1], f"{tick}", width) for tick in (0, 20, 40, 60, 80, 100)]
     ticks = [tick for tick in round_ticks(0, max(count, 2), 10) if tick == int(tick) and tick <= count]
-    parts += [_words(place(tick, 0)[0], height - BOTTOM + 15, f"{tick:.0f}", "tick", "middle") for tick in ticks]
+    parts += [
+        _words(place(tick, 0)[0], height - BOTTOM + 15, f"{tick:.0f}", "tick", "middle") for tick in ticks
+    ]
     parts.append(_words(width - RIGHT, height - 4, plot.x_title, "axis", "end"))
-    parts.append(_words(LEFT, height - 4, plot.y_title, "axis", "start"))
+    parts.append(_words(0, 12, plot.y_title, "axis", "start"))
     area = [*points, (points[-1][0], points[0][1])]
     parts.append(element("path", d=_path(area) + "Z", class_="area"))
     parts.append(element("path", d=_path(points), class_="series"))
-    for mark in reached:
+    names = []
+    for row, mark in enumerate(reached):
         x, y = points[mark.index]
-        parts.append(_line(x, y, x, height - BOTTOM, "leader"))
-        parts.append(_circle(x, y, 3.5, "dot"))
-        anchor = "start" if x < width * 0.7 else "end"
-        parts.append(_words(x + (7 if anchor == "start" else -7), y + 18, mark.label, "name", anchor))
+        parts += [_line(x, y, x, height - BOTTOM, "leader"), _circle(x, y, 3.5, "dot")]
+        shift, anchor = (7, "start") if x < width * 0.7 else (-7, "end")
+        names.append(
+            _words(x + shift, height - BOTTOM - LABEL_ROW_PX * (row + 1), mark.label, "name", anchor)
+        )
+    parts += names
     return _drawing(plot, parts)
 
 
@@ -130,14 +144,16 @@ def _index_words(plot: Plot, count: int, x_of: object) -> list[Html]:
     width, height = plot.size
     first = plot.first
     about = 10 if width > 600 else 5
-    ticks = [tick for tick in round_ticks(first, max(first + count - 1, first + 2), about) if tick == int(tick)]
+    ticks = [
+        tick for tick in round_ticks(first, max(first + count - 1, first + 2), about) if tick == int(tick)
+    ]
     words = [
         _words(x_of(tick - first), height - BOTTOM + 15, f"{tick:.0f}", "tick", "middle")  # type: ignore[operator]
         for tick in ticks
         if first <= tick < first + count
     ]
     words.append(_words(width - RIGHT, height - 4, plot.x_title, "axis", "end"))
-    words.append(_words(LEFT, height - 4, plot.y_title, "axis", "start"))
+    words.append(_words(0, 12, plot.y_title, "axis", "start"))
     return words
 
 

@@ -18,11 +18,11 @@ section{margin-top:44px;padding-top:22px;border-top:1px solid var(--line)}
 nav{margin:1.2rem 0 0;font-size:.9rem;color:var(--soft)}
 nav a{color:var(--accent);text-decoration:none;margin-right:1.1em;white-space:nowrap}
 nav a:hover,nav a:focus{text-decoration:underline}
-dl.figures{display:grid;grid-template-columns:repeat(auto-fit,minmax(128px,1fr));gap:1px;margin:0;
+dl.figures{display:grid;grid-template-columns:repeat(auto-fit,minmax(138px,1fr));gap:1px;margin:0;
 background:var(--line);border:1px solid var(--line);border-radius:8px;overflow:hidden}
 dl.figures div{background:var(--card);padding:12px 14px;display:flex;flex-direction:column}
 dl.figures dt{order:2;color:var(--soft);font-size:.82rem;line-height:1.35}
-dl.figures dd{margin:0;font-size:1.3rem;font-weight:600;line-height:1.3;white-space:nowrap}
+dl.figures dd{margin:0;font-size:1.2rem;font-weight:600;line-height:1.4;white-space:nowrap}
 .advice{margin-top:22px;border:1px solid var(--line);border-left:4px solid var(--amber);border-radius:8px;
 background:var(--card);padding:16px 20px 8px}
 .advice.fine{border-left-color:#3c7a4b}
@@ -40,7 +40,8 @@ img{display:block;width:100%;height:auto;border-radius:4px;background:#eee}
 .over svg{position:absolute;inset:0;width:100%;height:100%}
 .over path{fill:none;stroke-width:1.1;vector-effect:none}
 .over .halo{stroke:#000;stroke-opacity:.45;stroke-width:2.2}
-.over .mask{stroke:#fff}.over .rigid{stroke:#7fd4ff;stroke-dasharray:4 2.5}.over .mouth{stroke:#ffd36b;stroke-dasharray:1.5 2}
+.over .mask{stroke:#fff}
+.over .rigid{stroke:#7fd4ff;stroke-dasharray:4 2.5}.over .mouth{stroke:#ffd36b;stroke-dasharray:1.5 2}
 .over circle{fill:#fff;stroke:#000;stroke-opacity:.6;stroke-width:.6}
 .sheet{display:grid;grid-template-columns:repeat(8,1fr);gap:14px 10px}
 .sheet figcaption{font-size:.74rem;margin-top:.25rem;line-height:1.3}
@@ -52,11 +53,12 @@ border-top:1px solid var(--line);break-inside:avoid}
 .strip figcaption{text-align:center;font-size:.78rem;margin-top:.2rem}
 .maps{display:grid;grid-template-columns:repeat(auto-fill,minmax(230px,1fr));gap:20px}
 .maps img{image-rendering:pixelated}
-.pair{display:grid;grid-template-columns:repeat(auto-fit,minmax(330px,1fr));gap:22px 20px;margin-top:1rem}
+.pair{display:grid;grid-template-columns:repeat(auto-fit,minmax(min(420px,100%),1fr));gap:22px 20px;margin-top:1rem}
 .plot{overflow-x:auto}.plot svg{display:block;width:100%;min-width:640px;height:auto}
 .plot.narrow svg{min-width:300px}
 svg text{font-size:12px;fill:var(--soft);font-family:inherit}
 svg .axis{fill:var(--ink)}svg .name{fill:var(--ink);font-weight:600}svg .level-words{fill:var(--accent)}
+svg .name,svg .level-words{paint-order:stroke;stroke:var(--paper);stroke-width:4px;stroke-linejoin:round}
 svg .grid{stroke:var(--line);fill:none}
 svg .series{stroke:var(--accent);fill:none;stroke-width:1.6;stroke-linejoin:round}
 svg .area{fill:var(--accent);fill-opacity:.09}
@@ -71,8 +73,9 @@ unicode-bidi:isolate}
 thead th{border-top:0;border-bottom:1px solid var(--soft);font-weight:600;color:var(--soft);font-size:.82rem}
 tbody th{font-weight:500}
 tr.chosen>*{font-weight:600}
+table.few{max-width:560px}
 table.pairs tbody th{width:30%;color:var(--soft);font-weight:400}
-details{margin-top:1rem}summary{cursor:pointer;color:var(--accent)}
+details{margin-top:1rem}td details{margin:0}summary{cursor:pointer;color:var(--accent)}
 code{font-family:ui-monospace,SFMono-Regular,Menlo,Consolas,"Liberation Mono",monospace;font-size:.86em}
 footer{margin-top:48px;padding-top:14px;border-top:1px solid var(--line);color:var(--soft);font-size:.85rem}
 @media (max-width:820px){.sheet{grid-template-columns:repeat(4,1fr)}.component{grid-template-columns:1fr;gap:8px}

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shutil
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -61,14 +60,11 @@ def run(request: BuildModelRequest) -> Steps[Outcome]:
     report = request.report or output.with_suffix(".html")
     check_folder(output.parent)
     check_folder(report.parent)
-    work_folder = request.work_folder or output.with_name(output.name + ".work")
-    check_folder(work_folder)
-    build, notes = yield from build_clip(clip, request, work_folder)
-    figures = yield from measure_frames(build)
-    build.model.save(output)
-    write_report(report, build, figures)
-    if request.work_folder is None:
-        shutil.rmtree(work_folder)
+    with _work_folder(request.work_folder, output) as work_folder:
+        build, notes = yield from build_clip(clip, request, work_folder)
+        figures = yield from measure_frames(build)
+        build.model.save(output)
+        write_report(report, build, figures)
     model = build.model
     psnr = np.array(figures.psnr_db)
     share = explained_variance(model)

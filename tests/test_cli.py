@@ -1,0 +1,322 @@
+"""The command line: every verb on a small drawn clip, and every bad input it must survive."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import resource
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+from click.testing import CliRunner, Result
+
+from morphspace.cli import main
+from morphspace.files.images import read_image, write_image
+from morphspace.files.tables import read_loadings_table, read_metrics_table
+from morphspace.model import load_model
+from morphspace.synthetic import make_actors
+
+ROOT = Path(__file__).resolve().parent.parent
+HEAVY = {"cv2", "scipy", "skimage", "torch", "OpenImageIO", "av", "numpy", "tqdm"}
+FAST = ["--flow", "dis-medium", "--warp-weight", "0.02"]
+
+
+def run(*words: object) -> Result:
+    return CliRunner().invoke(main, [str(word) for word in words])
+
+
+def refused(result: Result, *mentioned: str) -> None:
+    """One clear line on the error stream, exit 2, and each thing it must name."""
+    assert result.exit_code == 2, result.output
+    assert result.stderr.startswith("morphspace: "), result.stderr
+    assert result.stderr.count("\n") == 1
+    for word in mentioned:
+        assert word in result.stderr
+
+
+@pytest.fixture(scope="module")
+def actor(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A drawn clip of eight frames, 64 x 80."""
+    folder = tmp_path_factory.mktemp("actors")
+    for _ in make_actors(folder, identities=1, frames=8, seed=3, size=(64, 80)):
+        pass
+    return folder / "actor_01"
+
+
+@pytest.fixture(scope="module")
+def model(actor: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("model") / "a.morph"
+    result = run("build-model", actor, "-o", path, *FAST)
+    assert result.exit_code == 0, result.output
+    return path
+
+
+def test_help_of_every_verb_imports_nothing_heavy():
+    code = (
+        "import sys\n"
+        "from morphspace.cli import main\n"
+        "for words in [['--help'], *[[name, '--help'] for name in main.commands]]:\n"
+        "    try:\n        main(words)\n"
+        "    except SystemExit as end:\n        assert end.code == 0, words\n"
+        f"print('HEAVY', sorted({HEAVY!r} & set(sys.modules)))\n"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, cwd=ROOT, check=True)
+    assert "HEAVY []" in done.stdout
+
+
+def test_every_verb_has_help_a_request_and_a_line_in_the_readme():
+    readme = (ROOT / "README.md").read_text(encoding="utf-8")
+    for name, command in main.commands.items():
+        assert command.help
+        assert f"`{name}" in readme
+        module = __import__(f"morphspace.verbs.{name.replace('-', '_')}", fromlist=["run"])
+        request = "".join(part.capitalize() for part in name.split("-")) + "Request"
+        assert hasattr(module, request) and hasattr(module, "run")
+
+
+def test_the_whole_path_on_a_drawn_clip(actor: Path, model: Path, tmp_path: Path):
+    assert model.with_suffix(".html").stat().st_size > 10_000
+    assert not model.with_name("a.morph.work").exists()
+    told = json.loads(run("info", model, "--json").stdout)
+    assert told["identity"] == "actor_01" and told["size"] == [64, 80]
+    assert told["faceframe"] is not None and told["provenance"]["licence"] == "CC0-1.0"
+
+    table = tmp_path / "a.csv"
+    assert run("encode", model, actor, "-o", table).exit_code == 0
+    loadings = read_loadings_table(table)
+    assert loadings.loadings_sd.shape == (8, told["components"])
+    assert loadings.document is not None and loadings.document["model_id"] == told["model_id"]
+
+    assert run("render", model, table, "-o", tmp_path / "images").exit_code == 0
+    first = read_image(tmp_path / "images" / "frame_0000.png")
+    expected = load_model(model).render(loadings.loadings_sd[0] * load_model(model).sd)
+    assert np.abs(first - np.clip(expected, 0, 1)).max() <= 0.51 / 255  # the rounding of an 8-bit file
+
+    assert run("render", model, table, "-o", tmp_path / "film.mkv").exit_code == 0
+    assert run("reconstruct", model, actor, "-o", tmp_path / "back", "-k", 3).exit_code == 0
+    metrics = read_metrics_table(tmp_path / "back" / "metrics.csv")
+    assert metrics["frame"] == list(loadings.frame_names)
+    assert min(metrics["psnr_db"]) > 25  # dB; the mean face alone gives 20 to 25 on these frames
+    assert read_image(tmp_path / "back" / "placed" / "frame_0003.png").shape == (80, 64, 3)
+    assert run("render", model, tmp_path / "back" / "loadings.csv", "-o", tmp_path / "again").exit_code == 0
+
+    assert run("sample", model, "-o", tmp_path / "random", "-n", 3, "--seed", 7).exit_code == 0
+    assert run("sweep", model, "-o", tmp_path / "sweep", "-k", 1, "--steps", 3).exit_code == 0
+    assert read_image(tmp_path / "sweep" / "pc001.png").shape == (80, 3 * 64, 3)
+    record = json.loads((tmp_path / "random" / "record.json").read_text(encoding="utf-8"))
+    assert record["settings"]["seed"] == 7 and "sample_0000.png" in record["outputs"]
+
+
+def test_the_same_build_gives_the_same_bytes(actor: Path, model: Path, tmp_path: Path):
+    again = tmp_path / "a.morph"
+    assert run("build-model", actor, "-o", again, *FAST).exit_code == 0
+    assert again.read_bytes() == model.read_bytes()
+    assert again.with_suffix(".html").read_bytes() == model.with_suffix(".html").read_bytes()
+
+
+def test_size_covers_and_crops_to_the_middle_and_says_so(actor: Path, tmp_path: Path):
+    result = run("build-model", actor, "-o", tmp_path / "a.morph", "--size", "48x48", *FAST)
+    assert result.exit_code == 0
+    assert "scaled to 48x60 and cropped to the middle 48x48" in result.stderr
+    assert load_model(tmp_path / "a.morph").size == (48, 48)
+
+
+def test_render_refuses_a_table_of_another_model(actor: Path, model: Path, tmp_path: Path):
+    other = tmp_path / "b.morph"
+    assert (
+        run("build-model", actor, "-o", other, "--flow", "dis-medium", "--warp-weight", "0.05").exit_code == 0
+    )
+    assert run("encode", other, actor, "-o", tmp_path / "b.csv").exit_code == 0
+    refused(
+        run("render", model, tmp_path / "b.csv", "-o", tmp_path / "out"),
+        "belongs to model",
+        load_model(model).model_id,
+    )
+    assert not (tmp_path / "out").exists()
+
+
+def copied(actor: Path, folder: Path, frames: int = 8) -> Path:
+    folder.mkdir()
+    for path in sorted(actor.glob("*.png"))[:frames]:
+        (folder / path.name).write_bytes(path.read_bytes())
+    return folder
+
+
+@pytest.mark.parametrize("content", [b"", b"not a picture", "truncated"], ids=["empty", "text", "truncated"])
+def test_an_unreadable_image_is_named(actor: Path, tmp_path: Path, content: bytes | str):
+    clip = copied(actor, tmp_path / "clip")
+    bad = clip / "frame_0004.png"
+    bad.write_bytes(bad.read_bytes()[:-500] if isinstance(content, str) else content)
+    refused(run("build-model", clip, "-o", tmp_path / "a.morph", *FAST), "frame_0004.png")
+    assert not (tmp_path / "a.morph").exists() and not (tmp_path / "a.html").exists()
+
+
+def test_sizes_that_differ_are_listed(actor: Path, tmp_path: Path):
+    clip = copied(actor, tmp_path / "clip")
+    write_image(clip / "frame_0099.png", np.zeros((40, 30, 3), np.float32))
+    refused(run("build-model", clip, "-o", tmp_path / "a.morph", *FAST), "64 x 80: 8", "30 x 40: 1")
+
+
+def test_two_frames_are_too_few(actor: Path, tmp_path: Path):
+    clip = copied(actor, tmp_path / "clip", 2)
+    refused(run("build-model", clip, "-o", tmp_path / "a.morph", *FAST), "2 frames", "3")
+
+
+def test_a_clip_without_motion_gives_rank_0_and_its_mean_renders(actor: Path, tmp_path: Path):
+    clip = tmp_path / "still"
+    clip.mkdir()
+    for index in range(4):
+        (clip / f"{index}.png").write_bytes((actor / "frame_0000.png").read_bytes())
+    result = run("build-model", clip, "-o", tmp_path / "a.morph", "--flow", "dis-medium")
+    assert result.exit_code == 0
+    assert "rank 0" in result.stderr and "identical to the reference" in result.stderr
+    still = load_model(tmp_path / "a.morph")
+    assert still.rank == 0
+    assert np.abs(still.render(np.zeros(0)) - read_image(actor / "frame_0000.png")).max() < 1e-5  # float32
+    refused(run("sweep", tmp_path / "a.morph", "-o", tmp_path / "sweep"), "rank 0")
+    assert run("encode", tmp_path / "a.morph", clip, "-o", tmp_path / "a.csv").exit_code == 0
+    assert run("info", tmp_path / "a.morph").exit_code == 0
+
+
+def test_nan_in_an_exr_is_named(actor: Path, tmp_path: Path):
+    clip = copied(actor, tmp_path / "clip", 0)
+    for index in range(4):
+        write_image(clip / f"f{index}.exr", read_image(actor / f"frame_000{index}.png"))
+    image = read_image(actor / "frame_0004.png")
+    with pytest.raises(Exception, match="finite"):
+        write_image(clip / "f9.exr", np.where(image > 0.5, np.nan, image).astype(np.float32))
+
+
+@pytest.mark.parametrize(
+    "damage",
+    [
+        lambda data: data[: len(data) // 2],
+        lambda data: data[:5],
+        lambda data: b"",
+        lambda data: np.random.default_rng(0).bytes(4000),
+        lambda data: data + b"more",
+        lambda data: re.sub(rb'\\"version\\": 1\b', b'\\\\"version\\\\": 7', data),
+        lambda data: data.replace(b'"shape": [', b'"shape":[1', 1),
+    ],
+    ids=["half", "five bytes", "empty", "random", "longer", "future", "shape"],
+)
+def test_a_damaged_model_is_refused(model: Path, tmp_path: Path, damage):
+    bad = tmp_path / "bad.morph"
+    data = model.read_bytes()
+    assert damage(data) != data
+    bad.write_bytes(damage(data))
+    for words in (["info", bad], ["sample", bad, "-o", tmp_path / "out"]):
+        refused(run(*words), "bad.morph")
+    assert not (tmp_path / "out").exists()
+
+
+def test_info_notices_a_changed_number(model: Path, tmp_path: Path):
+    bad = tmp_path / "bad.morph"
+    data = bytearray(model.read_bytes())
+    components = load_model(model).basis.components
+    place = data.index(np.ascontiguousarray(components[0, 5000:5008]).tobytes())
+    data[place] ^= 1
+    bad.write_bytes(data)
+    refused(run("info", bad), "changed after it was written")
+
+
+@pytest.mark.parametrize(
+    ("words", "mentioned"),
+    [
+        (["build-model", "nowhere", "-o", "OUT/a.morph"], ["nowhere"]),
+        (["build-model", "CLIP", "-o", "OUT/a.morph", "--reference", "frame_0077.png"], ["frame_0077.png"]),
+        (["build-model", "CLIP", "-o", "OUT/a.morph", "--crop", "10,10,100,20"], ["10,10,100,20", "64x80"]),
+        (["build-model", "CLIP", "-o", "OUT/a.morph", "--size", "8x8"], ["8x8"]),
+        (["build-model", "CLIP", "-o", "OUT/a.morph", "-k", "0"], ["0 components"]),
+        (["build-model", "CLIP", "-o", "OUT/a.morph", "--warp-weight", "-1"], ["-1"]),
+        (["build-model", "CLIP", "-o", "OUT/a.morph", "--warp-weight", "nan"], ["nan"]),
+        (["build-model", "CLIP", "-o", "OUT/a.morph", "--mask", "nowhere.png"], ["nowhere.png"]),
+        (["info", "nowhere.morph"], ["nowhere.morph"]),
+        (["encode", "MODEL", "nowhere", "-o", "OUT/a.csv"], ["nowhere"]),
+        (["render", "MODEL", "nowhere.csv", "-o", "OUT/images"], ["nowhere.csv"]),
+        (["reconstruct", "MODEL", "CLIP", "-o", "OUT/back", "-k", "99"], ["99"]),
+        (["sample", "MODEL", "-o", "OUT/s", "-n", "0"], ["0 faces"]),
+        (["sample", "MODEL", "-o", "OUT/s", "--seed", "-1"], ["-1"]),
+        (["sweep", "MODEL", "-o", "OUT/s", "--steps", "1"], ["1 steps"]),
+        (["make-actors", "-o", "OUT/s", "--identities", "0"], ["0 identities"]),
+    ],
+)
+def test_bad_words_get_one_line(
+    actor: Path, model: Path, tmp_path: Path, words: list[str], mentioned: list[str]
+):
+    places = {"CLIP": str(actor), "MODEL": str(model)}
+    out = tmp_path / "out"
+    result = run(*(places.get(word, word.replace("OUT", str(out))) for word in words))
+    refused(result, *mentioned)
+    left = [path for path in out.rglob("*") if path.is_file()] if out.exists() else []
+    assert left == []
+
+
+def test_an_output_folder_that_refuses_is_named(model: Path, tmp_path: Path):
+    (tmp_path / "file").write_text("in the way")
+    refused(run("sample", model, "-o", tmp_path / "file" / "out"), "file")
+    assert (tmp_path / "file").read_text() == "in the way"
+
+
+def test_a_full_disk_leaves_the_old_model_and_its_report(actor: Path, model: Path, tmp_path: Path):
+    out = tmp_path / "a.morph"
+    out.write_bytes(b"the old model")
+    limit = model.stat().st_size // 2
+
+    def little_room() -> None:
+        signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+        resource.setrlimit(resource.RLIMIT_FSIZE, (limit, limit))
+
+    words = [sys.executable, "-m", "morphspace", "build-model", str(actor), "-o", str(out), *FAST]
+    done = subprocess.run(
+        words, capture_output=True, text=True, cwd=ROOT, preexec_fn=little_room, check=False
+    )
+    assert done.returncode == 2, done.stderr
+    assert done.stderr.startswith("morphspace: ") and done.stderr.count("\n") == 1
+    assert out.read_bytes() == b"the old model"
+    assert not [path for path in tmp_path.iterdir() if path.is_file() and path != out]
+
+
+@pytest.mark.slow
+def test_a_stopped_build_goes_on_and_gives_the_same_bytes(tmp_path: Path):
+    for _ in make_actors(tmp_path, identities=1, frames=30, seed=3, size=(128, 160)):
+        pass
+    clip, out, work = tmp_path / "actor_01", tmp_path / "a.morph", tmp_path / "work"
+    words = [
+        sys.executable,
+        "-m",
+        "morphspace",
+        "build-model",
+        str(clip),
+        "-o",
+        str(out),
+        "--work-dir",
+        str(work),
+    ]
+    started = subprocess.Popen(words, stderr=subprocess.PIPE, text=True, cwd=ROOT)
+    patience = time.monotonic() + 60  # s; far more than the first frames need, so that a hang ends
+    while len(list(work.glob("*.frame"))) < 5 and time.monotonic() < patience:
+        time.sleep(0.02)
+    started.send_signal(signal.SIGINT)
+    _, told = started.communicate()
+    assert started.returncode == 130, told
+    assert told.strip().splitlines()[-1].startswith("morphspace: stopped")
+    kept = {path: path.stat().st_mtime_ns for path in work.glob("*.frame")}
+    assert 5 <= len(kept) < 30 and not out.exists()
+    assert run(*words[3:]).exit_code == 0
+    assert {path: path.stat().st_mtime_ns for path in kept} == kept
+    fresh = tmp_path / "fresh.morph"
+    assert run("build-model", clip, "-o", fresh).exit_code == 0
+    assert fresh.read_bytes() == out.read_bytes()
+
+
+def test_debug_shows_where_it_failed():
+    result = run("info", "nowhere.morph", "--debug")
+    assert result.exit_code != 0 and result.exception is not None
+    assert os.fspath("nowhere.morph") in str(result.exception)
