@@ -55,7 +55,7 @@ class FrameSource(Protocol):
 
 @dataclass(frozen=True)
 class BuildSettings:
-    """How to build. `reference` is a frame's index, None to choose; `warp_weight` colour per px, None to cross-validate.
+    """How to build. `reference` a frame's index, None to choose; `warp_weight` colour per px, None to cross-validate.
 
     `mask` (h, w) is drawn on the reference, None for an ellipse over the face. `faceframe` is marked on the frame
     `faceframe_index`.

@@ -1,8 +1,8 @@
 """Choose the reference: the frame from which all the others are best reached.
 
 The paper asks for a neutral face, eyes open, mouth slightly open with a little of the teeth and of the dark between
-them, so that the flow finds everything it needs to make the other frames (Nagle section 2). That wish can be measured without
-knowing what a mouth is: a frame that lacks what the others show leaves a large error when it is warped to them.
+them, so that the flow finds everything it needs to make the other frames (Nagle section 2). That wish can be measured
+without knowing what a mouth is: a frame that lacks what the others show leaves a large error when warped to them.
 """
 
 from __future__ import annotations

@@ -75,7 +75,7 @@ class RowFile:
     def _full(self, error: OSError) -> UnwritableFile:
         gigabytes = self.shape[0] * self.shape[1] * 4 / 1e9
         return UnwritableFile(
-            f"cannot write {self.path}: {error.strerror}; the morphs of {self.shape[0]} frames take {gigabytes:.2g} GB: "
+            f"cannot write {self.path}: {error.strerror}; {self.shape[0]} morphs take {gigabytes:.2g} GB: "
             "make room, or choose another work folder"
         )
 

@@ -70,7 +70,7 @@ def stacked(upper: Image, lower: Image) -> Image:
 
 def component_strips(model: MorphModel, count: int) -> Iterator[ComponentStrip]:
     """Draw the first `count` components, one after the other, at a width of at most `STRIP_WIDTH_PX`."""
-    small_mean = _small(model.mean)
+    small_mean = shrunk_morph(model.mean)
     mean_picture = small_mean.render()
     small_mask = _resized(model.mask, small_mean)
     weight = max(float(model.mask.sum()), 1e-12)
@@ -81,7 +81,7 @@ def component_strips(model: MorphModel, count: int) -> Iterator[ComponentStrip]:
         motion = rms_px(displacement, model.mask)
         square = (texture * texture).mean(axis=2)
         colour = float(np.sqrt((square * model.mask).sum(dtype=np.float64) / weight))
-        offset = _small(Morph(displacement, texture, model.mean.reference_id))
+        offset = shrunk_morph(Morph(displacement, texture, model.mean.reference_id))
         pictures = []
         for amount in STRIP_AMOUNTS_SD:
             if amount == 0:
@@ -96,7 +96,8 @@ def component_strips(model: MorphModel, count: int) -> Iterator[ComponentStrip]:
     return in_order(draw, range(min(count, model.rank)))
 
 
-def _small(morph: Morph) -> Morph:
+def shrunk_morph(morph: Morph) -> Morph:
+    """Give a morph at most `STRIP_WIDTH_PX` wide, its displacement in the px of the small picture."""
     height, width = morph.texture.shape[:2]
     if width <= STRIP_WIDTH_PX:
         return morph

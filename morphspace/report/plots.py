@@ -81,10 +81,11 @@ def line_plot(
     if level is not None:
         y = place(0, level_value)[1]
         parts.append(_line(LEFT, y, width - RIGHT, y, "level"))
-        parts.append(_words(width - RIGHT, y - 5, level.label, "level-words", "end"))
     parts.append(element("path", d=_path(points), class_="series"))
     if count <= POINTS_AT_MOST:
         parts += [_circle(x, y, 1.8, "point") for x, y in points]
+    if level is not None:
+        parts.append(_words(width - RIGHT, place(0, level_value)[1] - 5, level.label, "level-words", "end"))
     parts += _named(worst, points, floor_y, width)
     if dot is not None:
         x, y = points[dot.index]

@@ -223,9 +223,10 @@ def reconstruction_section(build: Build, figures: FrameFigures) -> Html:
     names = build.model.training.frame_names
     order = np.argsort(figures.psnr_db, kind="stable")
     median = float(np.median(figures.psnr_db))
-    worst = [Mark(int(i), f"{names[i]}  {figures.psnr_db[i]:.1f} dB") for i in order[:WORST_NAMED]]
+    below = [int(i) for i in order[:WORST_NAMED] if figures.psnr_db[i] < median]
+    worst = [Mark(i, f"{names[i]}  {figures.psnr_db[i]:.1f} dB") for i in below]
     plot = Plot(
-        f"PSNR of each frame; median {median:.1f} dB; lowest in {', '.join(mark.label for mark in worst)}",
+        f"PSNR of each frame; median {median:.1f} dB; lowest: {', '.join(mark.label for mark in worst) or 'all alike'}",
         "frame",
         "PSNR, dB",
         LEAST_RANGE_DB,

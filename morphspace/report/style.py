@@ -18,9 +18,9 @@ section{margin-top:44px;padding-top:22px;border-top:1px solid var(--line)}
 nav{margin:1.2rem 0 0;font-size:.9rem;color:var(--soft)}
 nav a{color:var(--accent);text-decoration:none;margin-right:1.1em;white-space:nowrap}
 nav a:hover,nav a:focus{text-decoration:underline}
-dl.figures{display:grid;grid-template-columns:repeat(auto-fit,minmax(138px,1fr));gap:1px;margin:0;
-background:var(--line);border:1px solid var(--line);border-radius:8px;overflow:hidden}
-dl.figures div{background:var(--card);padding:12px 14px;display:flex;flex-direction:column}
+dl.figures{display:grid;grid-template-columns:repeat(auto-fit,minmax(138px,1fr));margin:0;
+background:var(--card);border:1px solid var(--line);border-radius:8px;overflow:hidden}
+dl.figures div{outline:1px solid var(--line);outline-offset:-.5px;padding:12px 14px;display:flex;flex-direction:column}
 dl.figures dt{order:2;color:var(--soft);font-size:.82rem;line-height:1.35}
 dl.figures dd{margin:0;font-size:1.2rem;font-weight:600;line-height:1.4;white-space:nowrap}
 .advice{margin-top:22px;border:1px solid var(--line);border-left:4px solid var(--amber);border-radius:8px;
@@ -69,12 +69,12 @@ svg .level{stroke:var(--accent);stroke-dasharray:5 4;fill:none}
 table{border-collapse:collapse;width:100%;font-size:.9rem}
 caption{padding-bottom:.5rem}
 th,td{padding:6px 14px 6px 0;text-align:left;vertical-align:top;border-top:1px solid var(--line);
-unicode-bidi:isolate}
+unicode-bidi:isolate;overflow-wrap:break-word}
 thead th{border-top:0;border-bottom:1px solid var(--soft);font-weight:600;color:var(--soft);font-size:.82rem}
 tbody th{font-weight:500}
 tr.chosen>*{font-weight:600}
 table.few{max-width:560px}
-table.pairs tbody th{width:30%;color:var(--soft);font-weight:400}
+table.pairs td{overflow-wrap:anywhere}table.pairs tbody th{width:30%;color:var(--soft);font-weight:400}
 details{margin-top:1rem}td details{margin:0}summary{cursor:pointer;color:var(--accent)}
 code{font-family:ui-monospace,SFMono-Regular,Menlo,Consolas,"Liberation Mono",monospace;font-size:.86em}
 footer{margin-top:48px;padding-top:14px;border-top:1px solid var(--line);color:var(--soft);font-size:.85rem}
@@ -83,5 +83,7 @@ main{padding:24px 14px 40px}}
 @media print{@page{margin:14mm}body{background:#fff;font-size:10.5pt;print-color-adjust:exact;
 -webkit-print-color-adjust:exact}main{padding:0;max-width:none}nav{display:none}section{margin-top:24px;padding-top:14px}
 h2{break-after:avoid}.plot svg{min-width:0}.sheet{grid-template-columns:repeat(8,1fr)}
-.component{grid-template-columns:120px 1fr}tr{break-inside:avoid}}
+.component{grid-template-columns:120px 1fr}tr{break-inside:avoid}
+.pair{grid-template-columns:1fr 1fr}.plot.narrow svg{min-width:0}dl.figures{grid-template-columns:repeat(7,1fr)}
+dl.figures dd{font-size:1rem}dl.figures div{padding:8px 9px}table{font-size:9pt}th,td{padding-right:8px}}
 """

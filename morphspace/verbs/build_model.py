@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
+import shutil
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -92,6 +95,21 @@ def run(request: BuildModelRequest) -> Steps[Outcome]:
         "fold_fraction": float(build.fold_fractions.mean()),
     }
     return Outcome(lines, document, (*notes, *build.warnings), (output, report))
+
+
+@contextlib.contextmanager
+def _work_folder(asked: Path | None, output: Path) -> Iterator[Path]:
+    """Give the work folder. One that was not asked for goes when the build is done, and stays to resume from if not."""
+    folder = asked or output.with_name(output.name + ".work")
+    check_folder(folder)
+    try:
+        yield folder
+    except BaseException:
+        if not any(folder.iterdir()):
+            folder.rmdir()
+        raise
+    if asked is None:
+        shutil.rmtree(folder)
 
 
 def build_clip(
