@@ -25,7 +25,14 @@ from morphspace.flow import baselines
 from morphspace.model import Loadings, MorphModel, inner_product, model_digest
 from morphspace.morph import Morph, invert_mean_shape, morph_of, parts_of, resource
 from morphspace.progress import Step, Steps, in_order
-from morphspace.reference import ReferenceChoice, candidate_indices, score_candidates, shrunk
+from morphspace.reference import (
+    ReferenceChoice,
+    candidate_indices,
+    choose,
+    mouth_contrast,
+    score_candidates,
+    shrunk,
+)
 from morphspace.rows import RowFile
 from morphspace.storage import digest_of_array, digest_of_json, read_container, write_container
 from morphspace.warpweight import WeightTrial, best_trial, trial_weights
@@ -183,21 +190,21 @@ def _choose_reference(source: FrameSource, settings: BuildSettings) -> Steps[Ref
         return ReferenceChoice(settings.reference, name, "it was asked for")
     indices = candidate_indices(len(source.names))
     small: list[Image] = []
+    contrasts: list[float] = []
     mask: Mask = np.zeros((0, 0), np.float32)
-    (first,) = source.images(indices[:1])
-    for _, image in _same_size(source, indices, first):
+    for image in source.images(indices):
         height, width = image.shape[:2]
-        face = faces.face_mask(height, width, settings.faceframe)
-        image, mask = shrunk(image, face)
+        contrasts.append(mouth_contrast(image, faces.mouth_region(height, width, settings.faceframe)))
+        image, mask = shrunk(image, faces.face_mask(height, width, settings.faceframe))
         small.append(image)
     scores: list[float] = []
     for score in score_candidates(small, mask):
         scores.append(score)
         yield Step("reference", len(scores), len(small))
-    best = int(np.argmin(scores))
+    best = choose(np.array(scores), np.array(contrasts))
     reason = (
-        f"of {len(indices)} frames tried it explains the others best: mean error {scores[best]:.4f}, "
-        f"the next {sorted(scores)[1]:.4f}, the worst {max(scores):.4f} (colour, 0 to 1)"
+        f"of {len(indices)} frames tried it is among those that reach the hardest frames best (error {scores[best]:.4f}, "
+        f"best {min(scores):.4f}, worst {max(scores):.4f}, colour 0 to 1), and of these its mouth is nearest to half open"
     )
     return ReferenceChoice(indices[best], source.names[indices[best]], reason)
 

@@ -27,6 +27,8 @@ RIGID_ELLIPSE = (0.50, 0.48, 0.27, 0.19)  # brow to nose
 # The same two, measured from a faceframe: in eye-to-eye distances (x) and eye-to-philtrum distances (y).
 FACE_FROM_FACEFRAME = (0.0, 0.55, 1.25, 2.0)
 RIGID_FROM_FACEFRAME = (0.0, 0.15, 1.0, 0.75)
+MOUTH_ELLIPSE = (0.50, 0.77, 0.19, 0.11)  # below the nostrils, which are dark too
+MOUTH_FROM_FACEFRAME = (0.0, 1.4, 0.6, 0.5)
 SOFT_EDGE = 0.15  # of the radius, over which a mask falls from 1 to 0
 REGISTRATION_PASSES = (
     2  # the second measures the flow again on the aligned frame, where it is small and exact
@@ -222,6 +224,11 @@ def face_mask(height: int, width: int, faceframe: FaceFrame | None = None) -> Ma
 def rigid_region(height: int, width: int, faceframe: FaceFrame | None = None) -> Mask:
     """Give a soft ellipse over the part of the face that moves with the skull, brow to nose, (h, w) in [0, 1]."""
     return _soft_ellipse(height, width, RIGID_ELLIPSE, RIGID_FROM_FACEFRAME, faceframe)
+
+
+def mouth_region(height: int, width: int, faceframe: FaceFrame | None = None) -> Mask:
+    """Give a soft ellipse over where the mouth is to be expected, (h, w) in [0, 1]."""
+    return _soft_ellipse(height, width, MOUTH_ELLIPSE, MOUTH_FROM_FACEFRAME, faceframe)
 
 
 def _soft_ellipse(

@@ -1,8 +1,11 @@
 """Choose the reference: the frame from which all the others are best reached.
 
 The paper asks for a neutral face, eyes open, mouth slightly open with a little of the teeth and of the dark between
-them, so that the flow finds everything it needs to make the other frames (Nagle section 2). That wish can be measured
-without knowing what a mouth is: a frame that lacks what the others show leaves a large error when warped to them.
+them, so that the flow finds everything it needs to make the other frames (Nagle section 2). Two measurements stand for
+that wish. A frame that lacks what another shows leaves an error when that other is warped to it; what counts are the
+frames that are hardest to reach, not the many easy ones. Among frames that do about equally well, the one is taken
+whose mouth is half way between the most closed and the most open of the clip: from a closed mouth no warp makes an open
+one, and the mean face then shows the ghost of it.
 """
 
 from __future__ import annotations
@@ -14,12 +17,15 @@ import cv2
 import numpy as np
 
 from morphspace import warp
-from morphspace.arrays import Image, Mask
-from morphspace.flow.baselines import dis_medium
+from morphspace.arrays import AnyArray, Image, Mask
+from morphspace.flow.baselines import LUMA, dis_medium, smoothed
+from morphspace.progress import in_order
 
-CANDIDATES = 20  # spread evenly over the clip; each is tried against each other
+CANDIDATES = 40  # spread evenly over the clip; each is tried as the reference
+TARGET_STEP = 2  # every second candidate is a frame to be reached
 SMALL_SIDE_PX = 100  # of the frames compared
-WARPED_SHARE = 0.5  # of the score; the rest is how well a frame comes back from its own texture
+HARDEST = 0.25  # share of the frames, the hardest to reach, whose mean error is the score
+ABOUT_EQUAL = 1.1  # times the best score; within it the mouth decides
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,23 +54,35 @@ def shrunk(image: Image, mask: Mask) -> tuple[Image, Mask]:
 
 
 def score_candidates(images: list[Image], mask: Mask) -> Iterator[float]:
-    """Give for each small image its mean error as the reference of the others, in colour units; the least is best.
+    """Give each small image's error as the reference of the others: rms colour inside the mask, the least is best.
 
-    The error of a pair is how far the warped reference misses the frame (what the reference does not show), and how
-    far the frame misses itself when it is taken apart and rendered again (what the warp destroys).
+    The error of a pair is what the reference does not show: how far the frame, warped to the reference, misses it. The
+    score is the mean over the `HARDEST` share of the frames.
     """
-    for reference in images:
-        errors = [_pair_error(reference, frame, mask) for frame in images if frame is not reference]
-        yield float(np.mean(errors)) if errors else 0.0
+    targets = images[::TARGET_STEP]
+
+    def score(reference: Image) -> float:
+        errors = sorted(_missing(reference, frame, mask) for frame in targets if frame is not reference)
+        hardest = errors[-max(1, round(HARDEST * len(errors))) :]
+        return float(np.mean(hardest)) if hardest else 0.0
+
+    yield from in_order(score, images)
 
 
-def _pair_error(reference: Image, frame: Image, mask: Mask) -> float:
-    field = dis_medium(reference, frame)
-    texture = warp.sample(frame, field)
-    back = warp.render(texture, field)
-    return _rms(back - frame, mask) + WARPED_SHARE * _rms(texture - reference, mask)
-
-
-def _rms(difference: Image, mask: Mask) -> float:
+def _missing(reference: Image, frame: Image, mask: Mask) -> float:
+    difference = warp.sample(frame, smoothed(dis_medium(reference, frame))) - reference
     square = (difference * difference).mean(axis=2)
     return float(np.sqrt((square * mask).sum() / max(float(mask.sum()), 1.0)))
+
+
+def mouth_contrast(image: Image, region: Mask) -> float:
+    """Give the sd of luma in the mouth region (h, w): small for closed lips, large where dark and teeth show."""
+    inside = (image @ LUMA)[region > 0.5]
+    return float(inside.std()) if inside.size else 0.0
+
+
+def choose(scores: AnyArray, contrasts: AnyArray) -> int:
+    """Give the candidate to take: of those within `ABOUT_EQUAL` of the best score the one with the mouth half open."""
+    middle = (contrasts.min() + contrasts.max()) / 2
+    good = np.flatnonzero(scores <= ABOUT_EQUAL * scores.min())
+    return int(good[np.abs(contrasts[good] - middle).argmin()])

@@ -146,7 +146,9 @@ def invert(displacement: Displacement) -> Displacement:
     target = qy * width + qx
     covered = np.bincount(target, minlength=height * width)
     if covered.max(initial=0) > 1:
-        order = _least_stretched_first(target, triangles[STRETCH].reshape(-1)[number], covered)
+        at_rest = edge_x * edge_y  # 1, but for the cells of the ring
+        stretch = triangles[STRETCH].reshape(-1)[number] / at_rest
+        order = _least_stretched_first(target, stretch, covered)
         target, back_x, back_y = target[order], back_x[order], back_y[order]
     inverse = np.empty((height * width, 2), np.float32)
     inverse[target, 0] = back_x

@@ -112,7 +112,7 @@ def head_moved(case: Case) -> Iterator[Advice]:
         ways.append(
             f"shifts over {shift[0]:.0f} px across and {shift[1]:.0f} px down in frames of {size[0]} x {size[1]} px"
         )
-    if turn > 999:
+    if turn > HEAD_TURN_DEG:
         ways.append(f"tilts over {turn:.0f} degrees")
     if scale > HEAD_SCALE_SHARE:
         ways.append(f"changes its size by {100 * scale:.0f} %")

@@ -18,9 +18,9 @@ TIMES, MINUS, DASH = "\N{MULTIPLICATION SIGN}", "\N{MINUS SIGN}", "\N{EN DASH}"
 
 
 def text(value: object) -> Html:
-    """Give any value as text of a page: escaped, without control characters, what is not UTF-8 as question marks."""
-    words = str(value).encode("utf-8", "replace").decode("utf-8")
-    return Html(html.escape("".join(c if c.isprintable() else " " for c in words), quote=True))
+    """Give any value as text of a page: escaped; control characters and broken UTF-8 become spaces."""
+    words = "".join(character if character.isprintable() else " " for character in str(value))
+    return Html(html.escape(words, quote=True))
 
 
 def element(name: str, /, *parts: Html, **attributes: object) -> Html:

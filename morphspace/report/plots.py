@@ -7,7 +7,7 @@ figures give the same bytes.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 
 from morphspace.report.markup import Html, element, text
@@ -141,7 +141,7 @@ def share_plot(plot: Plot, shares: Sequence[float], reached: Sequence[Mark]) -> 
     return _drawing(plot, parts)
 
 
-def _index_words(plot: Plot, count: int, x_of: object) -> list[Html]:
+def _index_words(plot: Plot, count: int, x_of: Callable[[int], float]) -> list[Html]:
     width, height = plot.size
     first = plot.first
     about = 10 if width > 600 else 5
@@ -149,7 +149,7 @@ def _index_words(plot: Plot, count: int, x_of: object) -> list[Html]:
         tick for tick in round_ticks(first, max(first + count - 1, first + 2), about) if tick == int(tick)
     ]
     words = [
-        _words(x_of(tick - first), height - BOTTOM + 15, f"{tick:.0f}", "tick", "middle")  # type: ignore[operator]
+        _words(x_of(round(tick) - first), height - BOTTOM + 15, f"{tick:.0f}", "tick", "middle")
         for tick in ticks
         if first <= tick < first + count
     ]

@@ -1,0 +1,125 @@
+"""Measure what morphspace promises, on the clips it was made for, and print it as Markdown tables.
+
+    python scripts/bench.py SECTION... --data DIR [--judge PYTHON] [--work DIR] [--clips NAME...] [--rounds N]
+
+DIR holds sequences/NAME/frames/*.jpg (or set MORPHSPACE_DATA); PYTHON is the interpreter of the landmark judge (see
+scripts/landmark_judge.py). Sections that need no data: pca, render, open, warp, help. Times stand beside a peer in the
+same run; the ratios carry over to another machine, the times do not. Models and flow are kept in the work folder, so
+that a second section, or a second run with the same --work, does not make them again: empty it when the code changes.
+"""
+
+from __future__ import annotations
+
+import argparse
+import importlib.metadata
+import os
+import platform
+import sys
+import tempfile
+from collections.abc import Sequence
+from pathlib import Path
+
+import bench_build
+import bench_landmarks
+import bench_quality
+import bench_speed
+from bench_clips import CLIPS
+from bench_tables import print_table
+
+from morphspace.errors import BadInput
+
+PACKAGES = (
+    "numpy",
+    "scipy",
+    "opencv-contrib-python-headless",
+    "scikit-image",
+    "scikit-learn",
+    "OpenImageIO",
+)
+DATA_SECTIONS = ("roundtrip", "heldout", "landmarks", "ceiling", "build", "memory")
+OTHER_SECTIONS = ("pca", "render", "open", "warp", "help")
+BUILD_ROUNDS = 3  # at most; a build takes minutes
+
+
+def context() -> None:
+    """Print what the numbers depend on besides the machine itself."""
+    rows = [["Python", platform.python_version()]]
+    for package in PACKAGES:
+        try:
+            rows.append([package, importlib.metadata.version(package)])
+        except importlib.metadata.PackageNotFoundError:
+            rows.append([package, "not installed"])
+    rows.append(["system", f"{platform.system()} {platform.machine()}"])
+    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
+    rows.append(["CPU cores", str(cores)])
+    print_table(["what", "version"], rows)
+
+
+def run(section: str, arguments: argparse.Namespace, work: Path) -> None:
+    """Run one section."""
+    clips = tuple(arguments.clips)
+    data: Path = arguments.data
+    rounds: int = arguments.rounds
+    if section == "roundtrip":
+        bench_quality.round_trip(data, clips, work)
+    elif section == "heldout":
+        bench_quality.held_out(data, clips, work)
+    elif section == "landmarks":
+        bench_landmarks.landmarks(data, clips, work, arguments.judge)
+    elif section == "ceiling":
+        bench_landmarks.ceiling(data, clips, work, arguments.judge)
+    elif section == "build":
+        bench_build.stages(data, min(rounds, BUILD_ROUNDS))
+    elif section == "memory":
+        bench_build.memory(data)
+    elif section == "pca":
+        bench_speed.pca(min(rounds, 7))
+        bench_speed.pca_memory()
+    elif section == "render":
+        bench_speed.render(rounds, work)
+    elif section == "open":
+        bench_speed.open_model(rounds, work)
+    elif section == "warp":
+        bench_speed.inversion(rounds)
+    else:
+        bench_speed.help_time(rounds)
+
+
+def positive(text: str) -> int:
+    """Give a whole number of one or more, for argparse."""
+    number = int(text)
+    if number < 1:
+        raise argparse.ArgumentTypeError(f"{number} is less than 1")
+    return number
+
+
+def main(words: Sequence[str]) -> int:
+    """Run the sections asked for, in the order given; return the exit status."""
+    parser = argparse.ArgumentParser(prog="bench.py", description="Print benchmark tables.")
+    parser.add_argument("sections", nargs="+", choices=(*DATA_SECTIONS, *OTHER_SECTIONS), metavar="SECTION")
+    parser.add_argument("--data", type=Path, default=os.environ.get("MORPHSPACE_DATA"))
+    parser.add_argument("--judge", help="python that holds the landmark detector")
+    parser.add_argument("--work", type=Path, help="folder for models and flow (default: a temporary one)")
+    parser.add_argument("--clips", nargs="+", default=CLIPS, metavar="NAME")
+    parser.add_argument("--rounds", type=positive, default=21, help="of each timing (default 21)")
+    parser.usage = f"bench.py [options] {{{','.join((*DATA_SECTIONS, *OTHER_SECTIONS))}}}..."
+    arguments = parser.parse_args(words)
+    if arguments.data is None and any(section in DATA_SECTIONS for section in arguments.sections):
+        parser.error("these sections need the clips: give --data or set MORPHSPACE_DATA")
+    if arguments.judge is None and {"landmarks", "ceiling"} & set(arguments.sections):
+        parser.error("landmarks need --judge, the python that holds the detector")
+    with tempfile.TemporaryDirectory() as temporary:
+        work = arguments.work or Path(temporary)
+        work.mkdir(parents=True, exist_ok=True)
+        try:
+            context()
+            for section in arguments.sections:
+                run(section, arguments, work)
+        except BadInput as error:
+            print(f"bench.py: {error}", file=sys.stderr)
+            return 2
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))

@@ -1,0 +1,71 @@
+"""Time things fairly and print what was found: the two things every section of the benchmark does.
+
+A time means little on another machine, so each is measured beside a peer in the same run. The rounds are interleaved:
+what else the machine does then falls on both alike.
+"""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections.abc import Callable, Mapping, Sequence
+
+import numpy as np
+
+Work = Callable[[], object]
+
+
+def interleaved(works: Mapping[str, Work], rounds: int) -> dict[str, np.ndarray]:
+    """Run each work once to warm up, then all of them in turn, `rounds` times; give the seconds of each, (rounds,)."""
+    for work in works.values():
+        work()
+    seconds: dict[str, list[float]] = {name: [] for name in works}
+    for _ in range(rounds):
+        for name, work in works.items():
+            start = time.perf_counter()
+            work()
+            seconds[name].append(time.perf_counter() - start)
+    return {name: np.array(found) for name, found in seconds.items()}
+
+
+def ratio(seconds: np.ndarray, peer: np.ndarray) -> float:
+    """Give the median over the rounds of a time as a share of the peer's in the same round."""
+    return float(np.median(seconds / peer))
+
+
+def milliseconds(seconds: np.ndarray) -> str:
+    """Give the median in ms, with the quartiles, as a table shows it."""
+    low, middle, high = np.percentile(seconds * 1e3, [25, 50, 75])
+    return f"{middle:.2f} ({low:.2f}-{high:.2f})"
+
+
+def at_least(value: float, target: float) -> str:
+    """Say whether a figure reaches its target from below."""
+    return "met" if value >= target else "MISSED"
+
+
+def at_most(value: float, target: float) -> str:
+    """Say whether a figure stays within its target."""
+    return "met" if value <= target else "MISSED"
+
+
+def print_table(heads: Sequence[str], rows: Sequence[Sequence[object]]) -> None:
+    """Print a Markdown table; numbers stand to the right."""
+    cells = [[str(cell) for cell in row] for row in rows]
+    widths = [max(3, len(head), *(len(row[i]) for row in cells)) for i, head in enumerate(heads)]
+    numeric = [all(row[i][:1] in "+-.0123456789n" for row in cells if row[i]) for i in range(len(heads))]
+
+    def line(row: Sequence[str]) -> str:
+        filled = (
+            cell.rjust(width) if right else cell.ljust(width)
+            for cell, width, right in zip(row, widths, numeric, strict=True)
+        )
+        return "| " + " | ".join(filled) + " |"
+
+    rule = ["-" * (width - 1) + (":" if right else "-") for width, right in zip(widths, numeric, strict=True)]
+    print(line(heads), line(rule), *map(line, cells), "", sep="\n", flush=True)
+
+
+def tell(message: str) -> None:
+    """Tell on standard error how far the run is, so that standard output stays a page."""
+    print(f"bench: {message}", file=sys.stderr, flush=True)

@@ -1,0 +1,144 @@
+"""Shared fixtures: smooth random pictures, a small drawn clip with known warps, and a small model made of them."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+from scipy import ndimage
+
+from morphspace import warp
+from morphspace.basis import fit_basis
+from morphspace.faces import face_mask
+from morphspace.model import Loadings, MorphModel, inner_product, model_digest
+from morphspace.morph import Morph, parts_of, vector_of
+from morphspace.rows import RowArray
+
+HEIGHT, WIDTH = 72, 60
+MOUTH_ROW = 50  # the slit lies between this row and the next
+FRAMES = 9
+
+
+def textured(height, width, seed=0, sd_px=2.0):
+    """A smooth random picture (h, w, 3) in [0.1, 0.9]."""
+    noise = np.random.default_rng(seed).standard_normal((height, width, 3))
+    smooth = ndimage.gaussian_filter(noise, (sd_px, sd_px, 0), mode="mirror")
+    low, high = smooth.min(), smooth.max()
+    return (0.1 + 0.8 * (smooth - low) / (high - low)).astype(np.float32)
+
+
+def wavy(height, width, amplitude_px, seed=0, sd_px=8.0):
+    """A smooth random displacement (h, w, 2) whose largest component is `amplitude_px`."""
+    noise = np.random.default_rng(seed).standard_normal((height, width, 2))
+    smooth = ndimage.gaussian_filter(noise, (sd_px, sd_px, 0), mode="mirror")
+    return (amplitude_px * smooth / np.abs(smooth).max()).astype(np.float32)
+
+
+def expression(opening_px, smile_px, height=HEIGHT, width=WIDTH):
+    """A field (h, w, 2): the jaw below the slit goes down by `opening_px`, the cheeks go out by `smile_px`."""
+    y, x = np.mgrid[:height, :width].astype(np.float64)
+    across = np.exp(-(((x - (width - 1) / 2) / (0.2 * width)) ** 2))
+    below = (y > MOUTH_ROW) * np.exp(-(((y - MOUTH_ROW - 1) / (0.2 * height)) ** 2))
+    cheeks = np.exp(-(((y - 0.6 * height) / (0.15 * height)) ** 2))
+    sideways = np.sin(2 * np.pi * (x - (width - 1) / 2) / width)
+    return np.stack([smile_px * sideways * cheeks, opening_px * across * below], axis=-1).astype(np.float32)
+
+
+@dataclass(frozen=True, eq=False)
+class DrawnClip:
+    """Frames with their truth: a `FrameSource`; fields (h, w, 2) say where each point of `neutral` is found."""
+
+    names: tuple[str, ...]
+    digests: tuple[str, ...]
+    pictures: tuple[np.ndarray, ...]
+    fields: tuple[np.ndarray, ...]
+    neutral: np.ndarray
+
+    def images(self, indices: list[int]) -> Iterator[np.ndarray]:
+        for index in indices:
+            yield self.pictures[index]
+
+
+def clip_of(pictures, fields=(), neutral=None):
+    """A clip of these pictures; equal pictures get equal digests, as equal files do."""
+    digests = tuple(f"digest-{hash_of(picture)}" for picture in pictures)
+    names = tuple(f"frame_{i:03d}" for i in range(len(pictures)))
+    return DrawnClip(names, digests, tuple(pictures), tuple(fields), neutral)
+
+
+def hash_of(picture):
+    from morphspace.storage import digest_of_array
+
+    return digest_of_array(picture)[:16]
+
+
+def drawn_neutral():
+    neutral = textured(HEIGHT, WIDTH, seed=1)
+    neutral[MOUTH_ROW - 1 : MOUTH_ROW + 3, WIDTH // 4 : -WIDTH // 4] *= 0.3  # lips, dark around the slit
+    return neutral
+
+
+@pytest.fixture(scope="session")
+def picture():
+    return textured
+
+
+@pytest.fixture(scope="session")
+def wavy_field():
+    return wavy
+
+
+@pytest.fixture(scope="session")
+def make_clip():
+    return clip_of
+
+
+@pytest.fixture(scope="session")
+def clip():
+    """Nine frames of one drawn face: its mouth opens up to 5 px, it smiles up to 1.5 px, the light changes by 6 %."""
+    neutral = drawn_neutral()
+    phase = 2 * np.pi * np.arange(FRAMES) / FRAMES
+    fields = [
+        expression(2.5 - 2.5 * np.cos(angle), 1.5 * np.sin(2 * angle)).astype(np.float32) for angle in phase
+    ]
+    light = 1 + 0.06 * np.sin(phase + 1)
+    pictures = [
+        np.clip(warp.render(neutral * np.float32(gain), field), 0, 1)
+        for gain, field in zip(light, fields, strict=True)
+    ]
+    return clip_of(pictures, fields, neutral)
+
+
+@pytest.fixture(scope="session")
+def model():
+    """A model of rank 3 whose morphs are known exactly, without any flow."""
+    neutral = drawn_neutral()
+    rng = np.random.default_rng(5)
+    amounts = rng.standard_normal((12, 3)) * (1.2, 0.8, 0.05)
+    amounts -= amounts.mean(axis=0)
+    shade = (textured(HEIGHT, WIDTH, seed=9, sd_px=10.0) - 0.5) * 2
+    opening, smile = expression(1.0, 0.0), expression(0.0, 1.0)
+    rows = np.stack([vector_of(neutral + c * shade, a * opening + b * smile) for a, b, c in amounts]).astype(
+        np.float32
+    )
+    mask = face_mask(HEIGHT, WIDTH)
+    warp_weight = 0.1
+    mean, basis, loadings = fit_basis(RowArray(rows), inner_product(mask, warp_weight), 10)
+    texture, displacement = parts_of(mean, HEIGHT, WIDTH)
+    mean_morph = Morph(displacement, texture, "drawn-reference")
+    provenance = {"identity": "drawn", "licence": "CC0"}
+    names = tuple(f"frame_{i:03d}" for i in range(len(rows)))
+    return MorphModel(
+        mean=mean_morph,
+        basis=basis,
+        warp_weight=warp_weight,
+        mask=mask,
+        reference=mean_morph.render(),
+        mean_inverse=np.zeros((HEIGHT, WIDTH, 2), np.float32),
+        faceframe=None,
+        reference_faceframe=None,
+        training=Loadings(loadings, names, model_digest(basis, mean_morph, provenance)),
+        registration="none",
+        flow="dis",
+        provenance=provenance,
+    )
