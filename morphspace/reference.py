@@ -21,8 +21,8 @@ from morphspace.arrays import AnyArray, Image, Mask
 from morphspace.flow.baselines import LUMA, dis_medium, smoothed
 from morphspace.progress import in_order
 
-CANDIDATES = 40  # spread evenly over the clip; each is tried as the reference
-TARGET_STEP = 2  # every second candidate is a frame to be reached
+CANDIDATES = 60  # spread evenly over the clip; each is tried as the reference
+TARGETS = 20  # of the candidates, spread evenly: the frames to be reached
 SMALL_SIDE_PX = 100  # of the frames compared
 HARDEST = 0.25  # share of the frames, the hardest to reach, whose mean error is the score
 ABOUT_EQUAL = 1.1  # times the best score; within it the mouth decides
@@ -59,7 +59,7 @@ def score_candidates(images: list[Image], mask: Mask) -> Iterator[float]:
     The error of a pair is what the reference does not show: how far the frame, warped to the reference, misses it. The
     score is the mean over the `HARDEST` share of the frames.
     """
-    targets = images[::TARGET_STEP]
+    targets = images[:: max(1, round(len(images) / TARGETS))]
 
     def score(reference: Image) -> float:
         errors = sorted(_missing(reference, frame, mask) for frame in targets if frame is not reference)
