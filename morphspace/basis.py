@@ -83,38 +83,47 @@ def mean_row(rows: ColumnBlocks) -> AnyArray:
 
 def gram_matrix(rows: ColumnBlocks, mean: AnyArray, weight: AnyArray, start: int, stop: int) -> AnyArray:
     """Give the inner products of all mean-relative rows over columns start:stop, (n, n) float64."""
+    from scipy.linalg.blas import dsyrk  # here, because only a build needs it and it is slow to import
+
     n = rows.shape[0]
-    gram = np.zeros((n, n))
+    lower = np.zeros((n, n), order="F")
     for first, last in column_ranges(n, start, stop):
         scale = np.sqrt(weight[first:last], dtype=np.float64)
-        kept = np.flatnonzero(scale)
-        if kept.size == 0:
+        if not scale.any():
             continue
         block = rows.columns(first, last).astype(np.float64)
         block -= mean[first:last]
         block *= scale
-        gram += block @ block.T
-    return gram
+        lower = dsyrk(1.0, block.T, beta=1.0, c=lower, trans=1, lower=1, overwrite_c=1)
+    upper = np.triu_indices(n, 1)
+    lower[upper] = lower.T[upper]
+    return lower
 
 
-def principal_axes(gram: AnyArray, components: int, energy: float) -> tuple[AnyArray, AnyArray, AnyArray]:
-    """Diagonalise a Gram matrix (n, n): what weighted sums of the rows are the components.
+def principal_axes(gram: AnyArray, components: int, energy: float) -> tuple[AnyArray, AnyArray]:
+    """Diagonalise a Gram matrix (n, n), which is overwritten: what weighted sums of the rows are the components.
 
-    Returns coefficients (k, n) with components = coefficients @ offsets, variances (k,), and all eigenvalues (n,) from
-    the largest down. k is at most `components`, n - 1 and the numerical rank; `energy` is the data's own mean square
-    in the inner product, against which "no variation at all" is judged. Each sign is chosen so that the training face
-    furthest along the component lies on its positive side.
+    Returns coefficients (k, n) with components = coefficients @ offsets, and eigenvalues (k,) from the largest down. k
+    is at most `components`, n - 1 and the numerical rank; `energy` is the data's own mean square in the inner product,
+    against which "no variation at all" is judged. Each sign is chosen so that the training face furthest along the
+    component lies on its positive side.
     """
+    from scipy.linalg import eigh
+
     n = len(gram)
-    eigenvalues, vectors = np.linalg.eigh(gram)
+    wanted = min(components, n - 1)
+    if wanted < 1:
+        return np.zeros((0, n)), np.zeros(0)
+    eigenvalues, vectors = eigh(
+        gram, subset_by_index=(n - wanted, n - 1), overwrite_a=True, check_finite=False
+    )
     eigenvalues, vectors = np.maximum(eigenvalues[::-1], 0), vectors[:, ::-1]
-    floor = max(RANK_TOL * eigenvalues[0], CONSTANT_TOL * energy) if n else 0.0
-    k = min(components, n - 1, int((eigenvalues > floor).sum()))
+    floor = max(RANK_TOL * eigenvalues[0], CONSTANT_TOL * energy)
+    k = int((eigenvalues > floor).sum())
     vectors = vectors[:, :k]
     furthest = np.abs(vectors).argmax(axis=0)
     vectors = vectors * np.where(vectors[furthest, np.arange(k)] < 0, -1.0, 1.0)
-    coefficients = (vectors / np.sqrt(eigenvalues[:k])).T
-    return coefficients, eigenvalues[:k] / max(n - 1, 1), eigenvalues
+    return (vectors / np.sqrt(eigenvalues[:k])).T, eigenvalues[:k]
 
 
 def combine_rows(rows: ColumnBlocks, coefficients: AnyArray, mean: AnyArray, out: AnyArray) -> None:
@@ -129,15 +138,18 @@ def combine_rows(rows: ColumnBlocks, coefficients: AnyArray, mean: AnyArray, out
 def basis_from_gram(
     rows: ColumnBlocks, mean: AnyArray, weight: AnyArray, gram: AnyArray, components: int
 ) -> tuple[Basis, LoadingTable]:
-    """Give the basis of the mean-relative rows and their loadings (n, k), from their Gram matrix."""
+    """Give the basis of the mean-relative rows and their loadings (n, k), from their Gram matrix, which is used up."""
+    n, d = rows.shape
     energy = float((np.square(mean, dtype=np.float64) * weight).sum())
-    coefficients, variances, eigenvalues = principal_axes(gram, components, energy)
-    k = len(variances)
-    out = np.empty((k, rows.shape[1]), np.float32)
+    total = float(np.trace(gram))
+    coefficients, eigenvalues = principal_axes(gram, components, energy)
+    k = len(eigenvalues)
+    out = np.empty((k, d), np.float32)
     combine_rows(rows, coefficients, mean, out)
     dimensions = max(1, int((weight > 0).sum()) - k)
-    discarded = float(eigenvalues[k:].sum() / max(len(gram) - 1, 1) / dimensions)
-    return Basis(out, variances, weight, discarded), gram @ coefficients.T
+    discarded = max(0.0, total - float(eigenvalues.sum())) / max(n - 1, 1) / dimensions
+    loadings = (coefficients * eigenvalues[:, None]).T
+    return Basis(out, eigenvalues / max(n - 1, 1), weight, discarded), loadings
 
 
 def fit_basis(rows: ColumnBlocks, weight: AnyArray, components: int) -> tuple[AnyArray, Basis, LoadingTable]:

@@ -25,14 +25,7 @@ from morphspace.flow import baselines
 from morphspace.model import Loadings, MorphModel, inner_product, model_digest
 from morphspace.morph import Morph, invert_mean_shape, morph_of, parts_of, resource
 from morphspace.progress import Step, Steps, in_order
-from morphspace.reference import (
-    ReferenceChoice,
-    candidate_indices,
-    choose,
-    mouth_contrast,
-    score_candidates,
-    shrunk,
-)
+from morphspace.reference import POOL, ReferenceChoice, mouth_contrast, search, shrunk, spread
 from morphspace.rows import RowFile
 from morphspace.storage import digest_of_array, digest_of_json, read_container, write_container
 from morphspace.warpweight import WeightTrial, best_trial, trial_weights
@@ -60,12 +53,13 @@ class FrameSource(Protocol):
         ...
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class BuildSettings:
     """How to build. `reference` a frame's index, None to choose; `warp_weight` colour per px, None to cross-validate.
 
     `mask` (h, w) is drawn on the reference, None for an ellipse over the face. `faceframe` is marked on the frame
-    `faceframe_index`.
+    `faceframe_index`; unmoved, it also places the rigid part and
+    the mask, so the two frames should hold the head alike.
     """
 
     components: int = COMPONENTS
@@ -82,7 +76,7 @@ class BuildSettings:
 class Build:
     """A finished build: the model, and what the report tells of each frame.
 
-    `registrations` (n, 2, 3); `fold_fractions` (n,) inside the mask; `residual_motion_px` (n,) rms of the flow inside
+    `registrations` (n, 2, 3); `fold_fractions` (n,) inside the mask; `motion_px` (n,) rms of the flow inside
     the mask; `trials` of the warp weight; `work` for the aligned frames.
     """
 
@@ -113,6 +107,8 @@ def build_steps(
     count = len(source.names)
     if count < MIN_FRAMES:
         raise BadInput(f"{count} frames are too few for a model: give at least {MIN_FRAMES}")
+    if settings.components < 1:
+        raise BadInput(f"{settings.components} components were asked for: ask for at least 1")
     baselines.named(settings.flow)  # a wrong name is told before any work is done
     work_folder.mkdir(parents=True, exist_ok=True)
     choice = yield from _choose_reference(source, settings)
@@ -135,23 +131,16 @@ def build_steps(
         folds, motion = yield from _morph_pass(rows, files, source.names, mean_inverse, mask, reference_id)
         mean = mean_row(rows)
         yield Step("components", 1, 4)
-        unit = inner_product(mask, 1.0)
-        colours = 3 * height * width
-        texture_gram = gram_matrix(rows, mean, unit, 0, colours)
-        warp_gram = gram_matrix(rows, mean, unit, colours, 5 * height * width)
-        yield Step("components", 2, 4)
         trials: tuple[WeightTrial, ...] = ()
         weight = settings.warp_weight
         if weight is None:
-            trials = trial_weights(
-                rows, texture_gram, warp_gram, mask, settings.components, list(files), _aligned_image
-            )
-
+            trials = trial_weights(rows, mean, mask, settings.components, list(files), _aligned_image)
             weight = best_trial(trials)
+        yield Step("components", 2, 4)
+        product = inner_product(mask, weight)
+        gram = gram_matrix(rows, mean, product, 0, rows.shape[1])
         yield Step("components", 3, 4)
-        basis, loadings = basis_from_gram(
-            rows, mean, inner_product(mask, weight), texture_gram + weight**2 * warp_gram, settings.components
-        )
+        basis, loadings = basis_from_gram(rows, mean, product, gram, settings.components)
         yield Step("components", 4, 4)
     texture, displacement = parts_of(mean, height, width)
     mean_morph = Morph(displacement, texture, reference_id)
@@ -188,25 +177,22 @@ def _choose_reference(source: FrameSource, settings: BuildSettings) -> Steps[Ref
             )
         name = source.names[settings.reference]
         return ReferenceChoice(settings.reference, name, "it was asked for")
-    indices = candidate_indices(len(source.names))
+    indices = spread(len(source.names), POOL)
     small: list[Image] = []
     contrasts: list[float] = []
     mask: Mask = np.zeros((0, 0), np.float32)
-    for image in source.images(indices):
+    for _, image in _same_size(source, indices):
         height, width = image.shape[:2]
         contrasts.append(mouth_contrast(image, faces.mouth_region(height, width, settings.faceframe)))
-        image, mask = shrunk(image, faces.face_mask(height, width, settings.faceframe))
-        small.append(image)
-    scores: list[float] = []
-    for score in score_candidates(small, mask):
-        scores.append(score)
-        yield Step("reference", len(scores), len(small))
-    best = choose(np.array(scores), np.array(contrasts))
+        little, mask = shrunk(image, faces.face_mask(height, width, settings.faceframe))
+        small.append(little)
+    place, errors = yield from search(small, np.array(contrasts), mask)
+    best, worst = min(errors.values()), max(errors.values())
     reason = (
-        f"of {len(indices)} frames tried it is among those that reach the hardest frames best (error {scores[best]:.4f}, "
-        f"best {min(scores):.4f}, worst {max(scores):.4f}, colour 0 to 1), and of these its mouth is nearest to half open"
+        f"of {len(errors)} frames tried it is among those that reach the hardest frames best (error "
+        f"{errors[place]:.4f}, best {best:.4f}, worst {worst:.4f}, colour 0 to 1), and of these its mouth is nearest to half open"
     )
-    return ReferenceChoice(indices[best], source.names[indices[best]], reason)
+    return ReferenceChoice(indices[place], source.names[indices[place]], reason)
 
 
 def _flow_pass(
@@ -246,7 +232,7 @@ def _flow_pass(
     finished = len(files) - len(missing)
     if finished:
         yield Step("flow", finished, len(files))
-    for _ in in_order(make, _same_size(source, missing, reference)):
+    for _ in in_order(make, _same_size(source, missing, reference.shape)):
         finished += 1
         yield Step("flow", finished, len(files))
     total = np.zeros((height, width, 2))
@@ -258,12 +244,16 @@ def _flow_pass(
     return files, registrations, (total / len(files)).astype(np.float32)
 
 
-def _same_size(source: FrameSource, indices: list[int], reference: Image) -> Iterator[tuple[int, Image]]:
+def _same_size(
+    source: FrameSource, indices: list[int], shape: tuple[int, ...] | None = None
+) -> Iterator[tuple[int, Image]]:
+    """Give the frames with their indices; raise where one has another shape than it should, or than the first."""
     for index, image in zip(indices, source.images(indices), strict=True):
-        if image.shape != reference.shape:
+        shape = shape or image.shape
+        if image.shape != shape:
             raise BadInput(
                 f"{source.names[index]} is {image.shape[1]}x{image.shape[0]}, the frames before are "
-                f"{reference.shape[1]}x{reference.shape[0]}: bring the frames to one size"
+                f"{shape[1]}x{shape[0]}: bring the frames to one size"
             )
         yield index, image
 

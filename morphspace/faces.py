@@ -33,7 +33,8 @@ SOFT_EDGE = 0.15  # of the radius, over which a mask falls from 1 to 0
 REGISTRATION_PASSES = (
     2  # the second measures the flow again on the aligned frame, where it is small and exact
 )
-ROBUST_PASSES = 20  # of reweighting; the weights stop changing after about ten
+ROBUST_PASSES = 10  # of reweighting; after that the weights stop changing
+ANCHORS = 2500  # points at most, evenly spread; four times as many gave the same fit to 0.01 px
 SCALE_FLOOR_PX = 0.2  # residuals below this are flow noise, not expression
 CORNER_WINDOW_PX = 7
 CORNER_PERCENTILE = 80  # texture above this percentile of the rigid part counts in full
@@ -180,6 +181,8 @@ def _anchor_points(reference: Image, region: Mask) -> tuple[Points, AnyArray]:
     full = np.percentile(corners[region > 0.5], CORNER_PERCENTILE) if (region > 0.5).any() else 0.0
     weight = region * np.minimum(corners / full, 1) if full > 0 else np.zeros_like(region)
     y, x = np.nonzero(weight > 1e-3)
+    every = max(1, len(x) // ANCHORS)
+    y, x = y[::every], x[::every]
     return np.column_stack([x, y]).astype(np.float64), weight[y, x].astype(np.float64)
 
 

@@ -41,8 +41,8 @@ def fit_loadings(
 
     Parameters: image (h, w, 3); mean (5 h w,) and basis (k, 5 h w) in the order of `morph.vector_of`; mask (h, w);
     start (k,) loadings, usually the projection. Minimises sum_p A(p) mask(p) |I(p + u(p)) - T(p)|^2 + noise * sum_j
-    l_j^2 / variance_j with A the area of p in the picture. A step that does not lower the error is halved. Returns the
-    best loadings met, so the result is never worse than the start.
+    l_j^2 / variance_j with A the area of p in the picture. A step that does not lower this sum is halved. Returns the
+    best loadings met, so the sum is never larger than at the start.
     """
     best = np.array(start, np.float64)
     problem = _Problem(image, mean, basis, mask)
@@ -111,4 +111,4 @@ class _Problem:
             flat = jacobian.reshape(len(loadings), -1)
             normal += flat @ flat.T
             target += flat @ (state.residual[block] * root).reshape(-1)
-        return np.linalg.solve(normal, target)
+        return np.asarray(np.linalg.solve(normal, target), np.float64)

@@ -32,15 +32,15 @@ from morphspace.storage import digest_of_array, digest_of_json, read_container, 
 
 FORMAT = "morphspace-model"
 FORMAT_VERSION = 1
-ARRAY_DIMENSIONS = {
-    "components": 2,
-    "variances": 1,
-    "mean_texture": 3,
-    "mean_displacement": 3,
-    "mean_inverse": 3,
-    "mask": 2,
-    "reference": 3,
-    "training_loadings": 2,
+ARRAY_KINDS: Mapping[str, tuple[int, type[np.floating[Any]]]] = {
+    "components": (2, np.float32),
+    "variances": (1, np.float64),
+    "mean_texture": (3, np.float32),
+    "mean_displacement": (3, np.float32),
+    "mean_inverse": (3, np.float32),
+    "mask": (2, np.float32),
+    "reference": (3, np.float32),
+    "training_loadings": (2, np.float64),
 }
 
 
@@ -245,9 +245,11 @@ def points_document(faceframe: FaceFrame | None) -> dict[str, list[float]] | Non
 
 def inner_product(mask: Mask, warp_weight: float) -> AnyArray:
     """Give the weights (5 h w,) of <a, b> = sum mask texture + s^2 sum mask displacement (methods 4)."""
-    texture = np.repeat(mask.reshape(-1), 3)
-    displacement = np.repeat(mask.reshape(-1), 2) * np.float32(warp_weight**2)
-    return np.concatenate([texture, displacement]).astype(np.float32)
+    weights = np.empty(5 * mask.size, np.float32)
+    column = mask.reshape(-1, 1)
+    weights[: 3 * mask.size].reshape(-1, 3)[:] = column
+    weights[3 * mask.size :].reshape(-1, 2)[:] = column * np.float32(warp_weight**2)
+    return weights
 
 
 def model_digest(basis: Basis, mean: Morph, provenance: Mapping[str, Any]) -> str:
@@ -287,11 +289,12 @@ def _check_header(path: Path, document: Mapping[str, Any], arrays: Mapping[str, 
             f"{path} has format version {version}, this morphspace reads version {FORMAT_VERSION}: "
             "install the morphspace that wrote it"
         )
-    for name, dimensions in ARRAY_DIMENSIONS.items():
-        if name not in arrays or arrays[name].ndim != dimensions:
-            found = arrays[name].shape if name in arrays else "nothing"
+    for name, (dimensions, kind) in ARRAY_KINDS.items():
+        if name not in arrays or arrays[name].ndim != dimensions or arrays[name].dtype != kind:
+            found = f"{arrays[name].dtype} {arrays[name].shape}" if name in arrays else "nothing"
             raise ModelFileError(
-                f"{path}: {name} should have {dimensions} axes, found {found}; copy it again or rebuild it"
+                f"{path}: {name} should be {np.dtype(kind)} with {dimensions} axes, found {found}; copy it again or "
+                "rebuild it"
             )
     height, width = arrays["mask"].shape
     k = len(arrays["variances"])
@@ -310,6 +313,14 @@ def _check_header(path: Path, document: Mapping[str, Any], arrays: Mapping[str, 
             raise ModelFileError(
                 f"{path}: {name} has shape {arrays[name].shape}, {shape} expected; copy it again or rebuild it"
             )
+    variances = arrays["variances"]
+    if not (np.isfinite(variances).all() and (variances >= 0).all()):
+        raise ModelFileError(
+            f"{path}: its variances are not all finite and at least 0; copy it again or rebuild it"
+        )
+    provenance = document.get("provenance")
+    if not isinstance(provenance, dict) or not isinstance(provenance.get("identity"), str):
+        raise ModelFileError(f"{path}: its provenance names no identity; copy it again or rebuild it")
     if document.get("registration") not in REGISTRATION_KINDS:
         raise ModelFileError(
             f"{path}: registration {document.get('registration')!r} is not one of {', '.join(REGISTRATION_KINDS)}"
@@ -317,28 +328,27 @@ def _check_header(path: Path, document: Mapping[str, Any], arrays: Mapping[str, 
 
 
 def _assembled(arrays: Mapping[str, AnyArray], document: Mapping[str, Any]) -> MorphModel:
-    """Build the model from a checked header. Small arrays are read; the components stay mapped."""
-    small = {name: np.array(array) for name, array in arrays.items() if name != "components"}
+    """Build the model from a checked header; all arrays stay on the disk until they are used."""
     reference_id = str(document["reference_id"])
     warp_weight = float(document["warp_weight"])
-    mask = small["mask"]
+    mask = arrays["mask"]
     basis = Basis(
         arrays["components"],
-        small["variances"],
+        arrays["variances"],
         inner_product(mask, warp_weight),
         float(document["discarded_variance"]),
     )
     return MorphModel(
-        mean=Morph(small["mean_displacement"], small["mean_texture"], reference_id),
+        mean=Morph(arrays["mean_displacement"], arrays["mean_texture"], reference_id),
         basis=basis,
         warp_weight=warp_weight,
         mask=mask,
-        reference=small["reference"],
-        mean_inverse=small["mean_inverse"],
+        reference=arrays["reference"],
+        mean_inverse=arrays["mean_inverse"],
         faceframe=_faceframe(document["faceframe"]),
         reference_faceframe=_faceframe(document["reference_faceframe"]),
         training=Loadings(
-            small["training_loadings"], tuple(document["training_frames"]), str(document["model_id"])
+            arrays["training_loadings"], tuple(document["training_frames"]), str(document["model_id"])
         ),
         registration=document["registration"],
         flow=str(document["flow"]),

@@ -15,6 +15,9 @@ from morphspace.arrays import AnyArray, Displacement, Image
 from morphspace.errors import BadInput, ReferenceMismatch
 
 CHANNELS = 5  # R, G, B, x, y: Nagle's w * h * (2 + 3)
+MEAN_FOLDS = (
+    0.02  # of the cells; a mean over frames is smooth, and folds where the frames show different things
+)
 INVERSE_TOL_PX = 0.01  # m(m^-1(p)) = p, checked when the mean shape is inverted
 
 
@@ -99,9 +102,15 @@ def morph_of(image: Image, displacement: Displacement, reference_id: str) -> Mor
 def invert_mean_shape(mean_field: Displacement) -> Displacement:
     """Invert the mean shape m(x) = x + mean_i F_i(x): give v with p + v(p) = m^-1(p), (h, w, 2) px.
 
-    Raises `BadInput` where m(m^-1(p)) misses p by more than 0.01 px at the median: then the mean flow folds, and no
-    mean face exists.
+    Raises `BadInput` where the mean flow folds in more than `MEAN_FOLDS` of its cells, or m(m^-1(p)) misses p by more
+    than 0.01 px at the median: then there is no mean face.
     """
+    folded = float((warp.determinants(mean_field) <= 0).mean())
+    if folded > MEAN_FOLDS:
+        raise BadInput(
+            f"the mean shape folds in {folded:.1%} of the frame, allowed are {MEAN_FOLDS:.0%}: choose another reference "
+            "or leave out frames that show something else"
+        )
     inverse = warp.invert(mean_field)
     miss = warp.compose(mean_field, inverse)
     worst = float(np.median(np.hypot(miss[..., 0], miss[..., 1])))

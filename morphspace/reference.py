@@ -10,7 +10,6 @@ one, and the mean face then shows the ghost of it.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 
 import cv2
@@ -19,10 +18,12 @@ import numpy as np
 from morphspace import warp
 from morphspace.arrays import AnyArray, Image, Mask
 from morphspace.flow.baselines import LUMA, dis_medium, smoothed
-from morphspace.progress import in_order
+from morphspace.progress import Step, Steps, in_order
 
-CANDIDATES = 60  # spread evenly over the clip; each is tried as the reference
-TARGETS = 20  # of the candidates, spread evenly: the frames to be reached
+POOL = 120  # frames looked at, spread evenly over the clip
+TARGETS = 14  # of them, spread evenly: the frames to be reached
+CANDIDATES = 20  # of them, spread evenly: tried as the reference first
+HALF_OPEN = 10  # then those whose mouth is nearest to half open
 SMALL_SIDE_PX = 100  # of the frames compared
 HARDEST = 0.25  # share of the frames, the hardest to reach, whose mean error is the score
 ABOUT_EQUAL = 1.1  # times the best score; within it the mouth decides
@@ -37,9 +38,9 @@ class ReferenceChoice:
     reason: str
 
 
-def candidate_indices(count: int) -> list[int]:
-    """Give the frames of a clip of `count` that are tried as the reference: at most `CANDIDATES`, evenly spread."""
-    return [int(i) for i in np.unique(np.linspace(0, count - 1, min(count, CANDIDATES)).round())]
+def spread(count: int, most: int) -> list[int]:
+    """Give at most `most` of `count` places, evenly spread, the first and the last among them."""
+    return [int(i) for i in np.unique(np.linspace(0, count - 1, min(count, most)).round())]
 
 
 def shrunk(image: Image, mask: Mask) -> tuple[Image, Mask]:
@@ -53,20 +54,37 @@ def shrunk(image: Image, mask: Mask) -> tuple[Image, Mask]:
     )
 
 
-def score_candidates(images: list[Image], mask: Mask) -> Iterator[float]:
-    """Give each small image's error as the reference of the others: rms colour inside the mask, the least is best.
+def search(images: list[Image], contrasts: AnyArray, mask: Mask) -> Steps[tuple[int, dict[int, float]]]:
+    """Search the reference among small images (h, w, 3) with these mouth contrasts; a generator of steps.
 
-    The error of a pair is what the reference does not show: how far the frame, warped to the reference, misses it. The
-    score is the mean over the `HARDEST` share of the frames.
+    Returns its place, and the error of each place that was tried. The error of a pair is what the reference does not
+    show: how far the frame, warped to the reference, misses it, rms colour inside the mask; the error of a candidate is
+    the mean over the `HARDEST` share of the frames to be reached.
     """
-    targets = images[:: max(1, round(len(images) / TARGETS))]
+    first = spread(len(images), CANDIDATES)
+    middle = _half_open(contrasts)
+    rest = np.setdiff1d(np.arange(len(images)), first)
+    second = rest[np.abs(contrasts[rest] - middle).argsort(kind="stable")][:HALF_OPEN]
+    tried = np.concatenate([first, second]).astype(np.intp)
+    targets = [images[i] for i in spread(len(images), TARGETS)]
 
-    def score(reference: Image) -> float:
+    def error(place: int) -> float:
+        reference = images[place]
         errors = sorted(_missing(reference, frame, mask) for frame in targets if frame is not reference)
         hardest = errors[-max(1, round(HARDEST * len(errors))) :]
         return float(np.mean(hardest)) if hardest else 0.0
 
-    yield from in_order(score, images)
+    errors: dict[int, float] = {}
+    for place, found in zip(tried, in_order(error, tried), strict=True):
+        errors[int(place)] = found
+        yield Step("reference", len(errors), len(tried))
+    limit = ABOUT_EQUAL * min(errors.values())
+    good = np.array([place for place, found in errors.items() if found <= limit])
+    return int(good[np.abs(contrasts[good] - middle).argmin()]), errors
+
+
+def _half_open(contrasts: AnyArray) -> float:
+    return float(contrasts.min() + contrasts.max()) / 2
 
 
 def _missing(reference: Image, frame: Image, mask: Mask) -> float:
@@ -79,10 +97,3 @@ def mouth_contrast(image: Image, region: Mask) -> float:
     """Give the sd of luma in the mouth region (h, w): small for closed lips, large where dark and teeth show."""
     inside = (image @ LUMA)[region > 0.5]
     return float(inside.std()) if inside.size else 0.0
-
-
-def choose(scores: AnyArray, contrasts: AnyArray) -> int:
-    """Give the candidate to take: of those within `ABOUT_EQUAL` of the best score the one with the mouth half open."""
-    middle = (contrasts.min() + contrasts.max()) / 2
-    good = np.flatnonzero(scores <= ABOUT_EQUAL * scores.min())
-    return int(good[np.abs(contrasts[good] - middle).argmin()])

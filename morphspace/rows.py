@@ -8,7 +8,7 @@ pages would count as memory of the process and grow with the number of frames.
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from types import TracebackType
 from typing import Protocol
@@ -85,11 +85,12 @@ class RowFile:
         os.preadv(self._file, [out.view(np.uint8).data], index * out.nbytes)
         return out
 
-    def columns(self, start: int, stop: int) -> Rows:
-        """Give columns start:stop of all rows, (n, stop - start) float32."""
-        out = np.empty((self.shape[0], stop - start), np.float32)
-        for index, row in enumerate(out):
-            os.preadv(self._file, [row.view(np.uint8).data], (index * self.shape[1] + start) * 4)
+    def columns(self, start: int, stop: int, rows: Sequence[int] | AnyArray | None = None) -> Rows:
+        """Give columns start:stop of all rows, or of those named, (n, stop - start) float32."""
+        wanted = range(self.shape[0]) if rows is None else rows
+        out = np.empty((len(wanted), stop - start), np.float32)
+        for index, row in zip(wanted, out, strict=True):
+            os.preadv(self._file, [row.view(np.uint8).data], (int(index) * self.shape[1] + start) * 4)
         return out
 
 
@@ -114,6 +115,8 @@ class RowSubset:
 
     def columns(self, start: int, stop: int) -> Rows:
         """Give columns start:stop of the chosen rows."""
+        if isinstance(self.rows, RowFile):
+            return self.rows.columns(start, stop, self.indices)
         return self.rows.columns(start, stop)[self.indices]
 
 

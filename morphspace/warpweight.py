@@ -15,7 +15,7 @@ import numpy as np
 
 from morphspace import warp
 from morphspace.arrays import AnyArray, Image, Mask
-from morphspace.basis import combine_rows, principal_axes
+from morphspace.basis import combine_rows, gram_matrix, principal_axes
 from morphspace.measure import psnr_db
 from morphspace.morph import parts_of
 from morphspace.rows import ColumnBlocks, RowSubset
@@ -23,7 +23,10 @@ from morphspace.rows import ColumnBlocks, RowSubset
 FACTORS = (1.0, 2.0, 4.0)  # times the weight that gives texture and warp equal variance
 HELD_OUT = 8  # frames at most
 LARGEST_SHARE = 0.5  # of the training frames, as components: near full rank every weight gives the same
+TRIED_FRAMES = 192  # more do not change the choice, and their Gram matrices would grow with the clip
+MIN_FRAMES = 4  # to leave one out
 STILL_PX2 = 1e-8  # mean square warp below which nothing moves, and any weight is as good
+STILL_COLOUR2 = 1e-12  # the same for texture
 
 
 @dataclass(frozen=True)
@@ -41,8 +44,7 @@ def best_trial(trials: tuple[WeightTrial, ...]) -> float:
 
 def trial_weights(
     rows: ColumnBlocks,
-    texture_gram: AnyArray,
-    warp_gram: AnyArray,
+    mean: AnyArray,
     mask: Mask,
     components: int,
     frames: list[Path],
@@ -50,23 +52,30 @@ def trial_weights(
 ) -> tuple[WeightTrial, ...]:
     """Try `FACTORS`: project held-out frames on components of the others, render, compare inside the mask.
 
-    Parameters: rows (n, 5 h w) morph vectors; their Gram matrices (n, n) about the mean, of texture and of warp with
-    unit weight; mask (h, w); components asked for; frames and `load` give the aligned image of each row.
+    Parameters: rows (n, 5 h w) morph vectors and their mean (5 h w,); mask (h, w); components asked for; frames and
+    `load` give the aligned image of each row. At most `TRIED_FRAMES` rows, evenly spread, take part.
     """
-    n = rows.shape[0]
-    if np.trace(warp_gram) <= STILL_PX2 * n * float(mask.sum()) or n < 4:
+    chosen = np.unique(np.linspace(0, rows.shape[0] - 1, min(rows.shape[0], TRIED_FRAMES)).round()).astype(
+        np.intp
+    )
+    n, colours = len(chosen), 3 * mask.size
+    if n < MIN_FRAMES:
+        return ()
+    some = RowSubset(rows, chosen)
+    unit = np.concatenate([np.repeat(mask.reshape(-1), 3), np.repeat(mask.reshape(-1), 2)])
+    texture_gram = gram_matrix(some, mean, unit, 0, colours)
+    warp_gram = gram_matrix(some, mean, unit, colours, rows.shape[1])
+    if min(np.trace(texture_gram) / STILL_COLOUR2, np.trace(warp_gram) / STILL_PX2) <= n * float(mask.sum()):
         return ()
     balanced = float(np.sqrt(np.trace(texture_gram) / np.trace(warp_gram)))
-    if balanced == 0:
-        return ()
     held = np.arange(n // (2 * min(HELD_OUT, n // 3)), n, max(3, n // HELD_OUT))[:HELD_OUT]
     kept = np.setdiff1d(np.arange(n), held)
     k = max(1, min(components, int(LARGEST_SHARE * len(kept))))
     mixes = [_mixes(texture_gram + (factor * balanced) ** 2 * warp_gram, held, kept, k) for factor in FACTORS]
     vectors = np.empty((len(FACTORS) * len(held), rows.shape[1]), np.float32)
     nothing = np.zeros(rows.shape[1], np.float32)
-    combine_rows(RowSubset(rows, kept), np.concatenate(mixes), nothing, vectors)
-    images = [load(frames[index]) for index in held]
+    combine_rows(RowSubset(rows, chosen[kept]), np.concatenate(mixes), nothing, vectors)
+    images = [load(frames[chosen[index]]) for index in held]
     trials = []
     for number, factor in enumerate(FACTORS):
         block = vectors[number * len(held) : (number + 1) * len(held)]
@@ -86,7 +95,7 @@ def _mixes(gram: AnyArray, held: AnyArray, kept: AnyArray, components: int) -> A
     to_mean = gram[:, kept].mean(axis=1)
     about_kept = gram - to_mean[:, None] - to_mean[None, :] + to_mean[kept].mean()
     inner = about_kept[np.ix_(kept, kept)]
-    coefficients, _, _ = principal_axes(inner, components, float(np.trace(inner)))
+    coefficients, _ = principal_axes(inner, components, float(np.trace(inner)))
     loadings = about_kept[np.ix_(held, kept)] @ coefficients.T
     weights = loadings @ coefficients
     out: AnyArray = weights + (1 - weights.sum(axis=1, keepdims=True)) / len(kept)

@@ -27,7 +27,8 @@ from morphspace.report import (
     write_report,
 )
 from morphspace.report.advice import FRAMES_FEW, head_path
-from morphspace.report.figures import SHEET_FRAMES, mouth_region, spread
+from morphspace.faces import mouth_region
+from morphspace.report.figures import SHEET_FRAMES, spread
 from morphspace.report.markup import element, text
 from morphspace.report.pictures import STRIP_WIDTH_PX, fold_chart, shrunk_morph
 from morphspace.report.plots import Mark, Plot, line_plot, round_ticks

@@ -22,10 +22,6 @@ SHEET_FRAMES = 24  # on the contact sheet; enough to see the range of a clip at 
 SHEET_WIDTH_PX = 160  # of a small picture; a sheet of eight columns shows it at about this size
 BLACK_LIGHT = 0.002  # added to linear light, so that sensor noise near black does not count as exposure
 
-# Where the mouth lies, as shares of the frame (x, y centre, half axes), and measured from a faceframe as in `faces`.
-MOUTH_ELLIPSE = (0.50, 0.77, 0.19, 0.11)  # below the nostrils, which are dark too
-MOUTH_FROM_FACEFRAME = (0.0, 1.4, 0.6, 0.5)
-
 
 @dataclass(frozen=True, eq=False)
 class SheetFrame:
@@ -107,23 +103,6 @@ def small(image: Image) -> Image:
     return np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA))
 
 
-def mouth_region(height: int, width: int, faceframe: faces.FaceFrame | None) -> Mask:
-    """Give where the mouth is to be expected, (h, w) of 0 and 1: by the faceframe, else in a cropped face."""
-    y, x = np.mgrid[:height, :width].astype(np.float64)
-    if faceframe is None:
-        centre_x, centre_y, half_x, half_y = np.array(MOUTH_ELLIPSE) * (width, height, width, height)
-        across, down = (x - centre_x) / half_x, (y - centre_y) / half_y
-    else:
-        right, left, lip = faceframe.points
-        eyes = (right + left) / 2
-        shift_x, shift_y, size_x, size_y = MOUTH_FROM_FACEFRAME
-        offset = np.stack([x, y], axis=-1) - (eyes + shift_x * (left - right) + shift_y * (lip - eyes))
-        across = offset @ (left - right) / ((left - right) @ (left - right)) / size_x
-        down = offset @ (lip - eyes) / ((lip - eyes) @ (lip - eyes)) / size_y
-    inside: Mask = (across**2 + down**2 <= 1).astype(np.float32)
-    return inside
-
-
 class _Regions:
     """The parts of the face that are measured, prepared once: rigid part and mouth on the reference and the mean."""
 
@@ -138,7 +117,9 @@ class _Regions:
         self.rigid_box = _box_of(rigid_on_mean)
         self.rigid_on_mean = rigid_on_mean[self.rigid_box]
         self.rigid = np.flatnonzero((rigid > 0.5).reshape(-1))
-        self.mouth = np.flatnonzero(mouth_region(height, width, model.reference_faceframe).reshape(-1))
+        self.mouth = np.flatnonzero(
+            faces.mouth_region(height, width, model.reference_faceframe).reshape(-1) > 0.5
+        )
         self.reference_light = self._rigid_light(model.reference)
 
     def psnr_db(self, image: Image, truth: Image) -> float:

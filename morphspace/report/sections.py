@@ -10,7 +10,8 @@ from morphspace.build import Build
 from morphspace.model import MorphModel
 from morphspace.report import pictures
 from morphspace.report.advice import Advice, head_path
-from morphspace.report.figures import FrameFigures, mouth_region
+from morphspace.faces import mouth_region
+from morphspace.report.figures import FrameFigures
 from morphspace.report.markup import (
     DASH,
     MINUS,

@@ -58,6 +58,7 @@ class BuildModelRequest:
 
 def run(request: BuildModelRequest) -> Steps[Outcome]:
     """Build the model, write it and its report. Returns an `Outcome`."""
+    check_request(request)
     clip = open_clip(request.sources)
     output = request.output or Path(f"{clip.name}.morph")
     report = request.report or output.with_suffix(".html")
@@ -67,7 +68,7 @@ def run(request: BuildModelRequest) -> Steps[Outcome]:
         build, notes = yield from build_clip(clip, request, work_folder)
         figures = yield from measure_frames(build)
         build.model.save(output)
-        write_report(report, build, figures)
+        write_report(report, build, figures, source_size=source_size(clip.size, request.crop))
     model = build.model
     psnr = np.array(figures.psnr_db)
     share = explained_variance(model)
@@ -116,7 +117,6 @@ def build_clip(
     clip: Clip, request: BuildModelRequest, work_folder: Path
 ) -> Steps[tuple[Build, tuple[str, ...]]]:
     """Build from an open clip; give the build, and notes on what was done to the frames."""
-    check_request(request)
     framing = Framing(clip.size, request.crop, request.size or default_size(clip.size, request.crop))
     source = FramedClip(clip, framing)
     notes = []
@@ -174,6 +174,7 @@ def build_model(
         warp_weight=warp_weight,
         identity=identity,
     )
+    check_request(request)
     clip = open_clip(request.sources)
     if work_folder is not None:
         build, _ = result_of(build_clip(clip, request, work_folder))
@@ -185,8 +186,6 @@ def build_model(
 
 def check_request(request: BuildModelRequest) -> None:
     """Raise `BadInput` for settings that cannot be meant."""
-    if request.components < 1:
-        raise BadInput(f"{request.components} components were asked for: ask for at least 1")
     weight = request.warp_weight
     if weight is not None and not (np.isfinite(weight) and weight > 0):
         raise BadInput(
@@ -194,10 +193,15 @@ def check_request(request: BuildModelRequest) -> None:
         )
 
 
-def default_size(source_size: tuple[int, int], crop: tuple[int, int, int, int] | None) -> tuple[int, int]:
+def source_size(size: tuple[int, int], crop: tuple[int, int, int, int] | None) -> tuple[int, int]:
+    """Give the size (w, h) px of what is used of each image: the crop, or all of it."""
+    return size if crop is None else (crop[2], crop[3])
+
+
+def default_size(size: tuple[int, int], crop: tuple[int, int, int, int] | None) -> tuple[int, int]:
     """Give the model's frame size (w, h) where none was asked for: their own, or 200 x 240 where they are large."""
-    size = crop[2:] if crop else source_size
-    return DEFAULT_SIZE if max(size) > DEFAULT_SIDE_PX else (size[0], size[1])
+    used = source_size(size, crop)
+    return DEFAULT_SIZE if max(used) > DEFAULT_SIDE_PX else used
 
 
 def explained_variance(model: MorphModel) -> float:
