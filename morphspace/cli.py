@@ -116,26 +116,23 @@ def _driven(steps: Steps[Outcome], silent: bool) -> Outcome:
         return result_of(steps)
     from tqdm import tqdm
 
-    bars: dict[str, Any] = {}
+    stage, bar = "", None
 
     def on_step(step: Step) -> None:
-        if step.stage not in bars:
-            for bar in bars.values():
+        nonlocal stage, bar
+        if bar is None or step.stage != stage or step.done < bar.n:
+            if bar is not None:
                 bar.close()
-            bars[step.stage] = tqdm(
-                desc=step.stage,
-                total=step.total,
-                delay=PROGRESS_AFTER_S,
-                leave=False,
-                file=sys.stderr,
-                unit="",
+            stage = step.stage
+            bar = tqdm(
+                desc=stage, total=step.total, delay=PROGRESS_AFTER_S, leave=False, file=sys.stderr, unit=" "
             )
-        bars[step.stage].update(step.done - bars[step.stage].n)
+        bar.update(step.done - bar.n)
 
     try:
         return result_of(steps, on_step)
     finally:
-        for bar in bars.values():
+        if bar is not None:
             bar.close()
 
 

@@ -24,7 +24,7 @@ from morphspace.verbs.render import rendered
 from morphspace.verbs.sweep import component_faces
 
 SEED = 1
-IDENTITIES, PORTRAITS, FRAMES = 2, 1, 36
+IDENTITIES, PORTRAITS, FRAMES = 2, 1, 30
 COMPONENTS = 15
 SHOWN_FRAMES = 8  # in a strip
 SWEPT = 4  # components
@@ -121,8 +121,8 @@ apart into {components} loadings and put together again</figcaption></figure>
 <figure><img src="{name}/caricature.png" alt="the same frames, exaggerated"><figcaption>Caricature: every loading times
 {gain}</figcaption></figure>
 <div class="videos">
-<figure><video src="{name}/veridical.mp4" controls loop muted></video><figcaption>Gain 1</figcaption></figure>
-<figure><video src="{name}/caricature.mp4" controls loop muted></video><figcaption>Gain {gain}</figcaption></figure>
+<figure><video src="{name}/veridical.mp4" controls autoplay loop muted playsinline></video><figcaption>Gain 1</figcaption></figure>
+<figure><video src="{name}/caricature.mp4" controls autoplay loop muted playsinline></video><figcaption>Gain {gain}</figcaption></figure>
 </div>
 {sweeps}
 <figure><img src="{name}/random.png" alt="eight random faces"><figcaption>Faces drawn at random from the
