@@ -190,7 +190,8 @@ def _choose_reference(source: FrameSource, settings: BuildSettings) -> Steps[Ref
     best, worst = min(errors.values()), max(errors.values())
     reason = (
         f"of {len(errors)} frames tried it is among those that reach the hardest frames best (error "
-        f"{errors[place]:.4f}, best {best:.4f}, worst {worst:.4f}, colour 0 to 1), and of these its mouth is nearest to half open"
+        f"{errors[place]:.4f}, best {best:.4f}, worst {worst:.4f}, colour 0 to 1), and of these its mouth is nearest "
+        "to half open"
     )
     return ReferenceChoice(indices[place], source.names[indices[place]], reason)
 

@@ -166,13 +166,11 @@ def register(reference: Image, image: Image, kind: RegistrationKind, region: Mas
     points, weights = _anchor_points(reference, region)
     if weights.sum() <= 0:
         return total
-    current = image
     for _ in range(REGISTRATION_PASSES):
-        field = dis_medium(reference, current)
+        field = dis_medium(reference, aligned(image, "", total).image)
         x, y = points[:, 0].astype(np.intp), points[:, 1].astype(np.intp)
         step = _robust_affine(points, points + field[y, x], weights, kind)
         total = warp.chain_affine(total, step)
-        current = aligned(image, "", total).image
     return total
 
 

@@ -108,8 +108,8 @@ def invert_mean_shape(mean_field: Displacement) -> Displacement:
     folded = float((warp.determinants(mean_field) <= 0).mean())
     if folded > MEAN_FOLDS:
         raise BadInput(
-            f"the mean shape folds in {folded:.1%} of the frame, allowed are {MEAN_FOLDS:.0%}: choose another reference "
-            "or leave out frames that show something else"
+            f"the mean shape folds in {folded:.1%} of the frame, allowed are {MEAN_FOLDS:.0%}: choose another "
+            "reference or leave out frames that show something else"
         )
     inverse = warp.invert(mean_field)
     miss = warp.compose(mean_field, inverse)

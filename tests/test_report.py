@@ -14,6 +14,7 @@ import pytest
 
 from morphspace.arrays import Image
 from morphspace.build import Build, BuildSettings, build_steps
+from morphspace.faces import mouth_region
 from morphspace.measure import psnr_db
 from morphspace.morph import Morph
 from morphspace.progress import result_of
@@ -27,7 +28,6 @@ from morphspace.report import (
     write_report,
 )
 from morphspace.report.advice import FRAMES_FEW, head_path
-from morphspace.faces import mouth_region
 from morphspace.report.figures import SHEET_FRAMES, spread
 from morphspace.report.markup import element, text
 from morphspace.report.pictures import STRIP_WIDTH_PX, fold_chart, shrunk_morph

@@ -7,10 +7,10 @@ import numpy as np
 from morphspace import faces
 from morphspace.arrays import AnyArray
 from morphspace.build import Build
+from morphspace.faces import mouth_region
 from morphspace.model import MorphModel
 from morphspace.report import pictures
 from morphspace.report.advice import Advice, head_path
-from morphspace.faces import mouth_region
 from morphspace.report.figures import FrameFigures
 from morphspace.report.markup import (
     DASH,

@@ -121,8 +121,10 @@ apart into {components} loadings and put together again</figcaption></figure>
 <figure><img src="{name}/caricature.png" alt="the same frames, exaggerated"><figcaption>Caricature: every loading times
 {gain}</figcaption></figure>
 <div class="videos">
-<figure><video src="{name}/veridical.mp4" controls autoplay loop muted playsinline></video><figcaption>Gain 1</figcaption></figure>
-<figure><video src="{name}/caricature.mp4" controls autoplay loop muted playsinline></video><figcaption>Gain {gain}</figcaption></figure>
+<figure><video src="{name}/veridical.mp4" controls autoplay loop muted playsinline></video>
+<figcaption>Gain 1</figcaption></figure>
+<figure><video src="{name}/caricature.mp4" controls autoplay loop muted playsinline></video>
+<figcaption>Gain {gain}</figcaption></figure>
 </div>
 {sweeps}
 <figure><img src="{name}/random.png" alt="eight random faces"><figcaption>Faces drawn at random from the
