@@ -16,7 +16,7 @@ from bench_clips import SIZE, clip_frames, replaced, replaced_flow
 from bench_memory import child
 from bench_tables import at_most, print_table, tell
 
-from morphspace import build, faces, progress, storage
+from morphspace import build, faces, progress, reference, storage
 from morphspace.flow import baselines
 from morphspace.report import figures
 from morphspace.verbs import build_model
@@ -130,6 +130,7 @@ def _timed_build(data: Path, workers: int) -> Timed:
         replaced(faces, "register", registration.watched(faces.register)),
         replaced(build, "write_container", writing.watched(storage.write_container)),
         replaced(build, "in_order", threads),
+        replaced(reference, "in_order", threads),
         replaced(figures, "in_order", threads),
     ):
         sources = (str(data / "sequences" / BUILD_CLIP),)

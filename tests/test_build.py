@@ -7,13 +7,15 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
+from morphspace import build as build_module
 from morphspace import warp
 from morphspace.build import BuildSettings, build_steps
 from morphspace.errors import BadInput
-from morphspace.faces import FaceFrame, face_mask, identity_affine, rigid_region
+from morphspace.faces import FaceFrame, face_mask, identity_affine, mouth_region, rigid_region
 from morphspace.flow import baselines
 from morphspace.measure import psnr_db, rms_px
 from morphspace.progress import Step, in_order, result_of
+from morphspace.reference import mouth_contrast
 from morphspace.storage import read_container
 
 PLAIN = BuildSettings(components=6, registration="none", flow="dis", reference=0, warp_weight=0.05)
@@ -119,6 +121,29 @@ def test_steps_count_up_to_their_totals(clip, tmp_path):
     for stage in stages.values():
         assert [step.done for step in stage] == list(range(1, stage[0].total + 1))
         assert len({step.total for step in stage}) == 1
+
+
+def test_of_a_long_clip_evenly_spread_frames_are_looked_at_for_the_reference(clip, tmp_path, monkeypatch):
+    few = [0, 3, 5, 8]
+    monkeypatch.setattr(build_module, "POOL", len(few))
+    looked_at = []
+    search = build_module.search
+
+    def searching(images, contrasts, mask):
+        place, errors = yield from search(images, contrasts, mask)
+        looked_at.append((images, contrasts, mask, place))
+        return place, errors
+
+    monkeypatch.setattr(build_module, "search", searching)
+    choice = built(clip, tmp_path, replace(PLAIN, reference=None)).choice
+    ((images, contrasts, mask, place),) = looked_at
+    assert place != few[place]  # which of the four, and below which of the nine
+    for index, image, contrast in zip(few, images, contrasts, strict=True):
+        assert_allclose(image, clip.pictures[index], atol=1e-6)
+        assert contrast == pytest.approx(mouth_contrast(clip.pictures[index], mouth_region(72, 60)))
+    assert_allclose(mask, face_mask(72, 60), atol=1e-6)
+    assert (choice.index, choice.name) == (few[place], clip.names[few[place]])
+    assert "of 4 frames tried" in choice.reason
 
 
 def test_head_movement_is_taken_out_and_kept(picture, make_clip, tmp_path):
@@ -329,6 +354,21 @@ def test_a_mask_of_the_wrong_size_is_refused(clip, tmp_path, monkeypatch):
 def test_an_empty_mask_is_refused(clip, tmp_path):
     with pytest.raises(BadInput, match="the mask is empty"):
         built(clip, tmp_path, replace(PLAIN, mask=np.zeros((72, 60), np.float32)))
+
+
+@pytest.mark.parametrize("components", [0, -1])
+def test_fewer_than_one_component_is_refused_before_any_work(clip, tmp_path, components):
+    with pytest.raises(BadInput, match=f"{components} components were asked for"):
+        built(clip, tmp_path / "work", replace(PLAIN, components=components))
+    assert not (tmp_path / "work").exists()
+    assert built(clip, tmp_path / "work", replace(PLAIN, components=1)).model.rank == 1
+
+
+def test_settings_with_a_mask_can_be_compared_and_kept_in_a_set():
+    settings = replace(PLAIN, mask=np.ones((72, 60), np.float32))
+    assert settings == settings
+    assert settings != replace(settings)  # each is itself: arrays have no single answer
+    assert len({settings, replace(settings)}) == 2
 
 
 def test_an_unknown_flow_is_refused_before_any_work(clip, tmp_path):

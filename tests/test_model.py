@@ -14,7 +14,7 @@ from morphspace import warp
 from morphspace.errors import BadInput, ModelFileError, MorphspaceError, ReferenceMismatch, UnwritableFile
 from morphspace.faces import FaceFrame, Frame, identity_affine
 from morphspace.measure import psnr_db
-from morphspace.model import Loadings, inner_product, load_model
+from morphspace.model import ARRAY_KINDS, Loadings, inner_product, load_model
 from morphspace.morph import Morph, MorphOffset, vector_of
 from morphspace.storage import read_container, write_container
 
@@ -256,13 +256,27 @@ def test_a_faceframe_survives_the_file(model, tmp_path):
     assert_array_equal(loaded.reference_faceframe.points, faceframe.points + 1)
 
 
-def test_components_stay_on_the_disk(saved):
-    components = load_model(saved).basis.components
-    base = components
+@pytest.mark.parametrize(
+    "array_of",
+    [
+        lambda model: model.basis.components,
+        lambda model: model.basis.variances,
+        lambda model: model.mean.texture,
+        lambda model: model.mean.displacement,
+        lambda model: model.mean_inverse,
+        lambda model: model.mask,
+        lambda model: model.reference,
+        lambda model: model.training.values,
+    ],
+    ids=list(ARRAY_KINDS),
+)
+def test_every_array_stays_on_the_disk(saved, array_of):
+    array = array_of(load_model(saved))
+    base = array
     while base is not None and not isinstance(base, np.memmap):
         base = base.base
     assert isinstance(base, np.memmap)
-    assert not components.flags.writeable
+    assert not array.flags.writeable
 
 
 def test_saving_twice_gives_the_same_bytes_and_saving_the_loaded_too(model, saved, tmp_path):
@@ -326,29 +340,62 @@ def test_a_future_version_and_another_format_are_refused(saved):
     assert_refused(saved, "'morphspace-avatar'.*'morphspace-model'")
 
 
-@pytest.mark.parametrize(
-    "name",
-    [
-        "components",
-        "variances",
-        "mean_texture",
-        "mean_displacement",
-        "mean_inverse",
-        "mask",
-        "reference",
-        "training_loadings",
-    ],
-)
+NAMES = [
+    "components",
+    "variances",
+    "mean_texture",
+    "mean_displacement",
+    "mean_inverse",
+    "mask",
+    "reference",
+    "training_loadings",
+]
+
+
+@pytest.mark.parametrize("name", NAMES)
 def test_arrays_of_the_wrong_shape_or_absent_are_refused(saved, name):
     original = saved.read_bytes()
     rewritten(saved, lambda arrays, document: arrays.update({name: arrays[name][..., :-1]}))
-    assert_refused(saved, "expected|should have")
+    assert_refused(saved, "has shape .* expected")
     saved.write_bytes(original)
     rewritten(saved, lambda arrays, document: arrays.update({name: arrays[name][None]}))
     assert_refused(saved, name)
     saved.write_bytes(original)
     rewritten(saved, lambda arrays, document: arrays.pop(name) is None)
     assert_refused(saved, name)
+
+
+@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("kind", [np.float16, np.int32, np.uint8, "other float"])
+def test_arrays_of_the_wrong_type_are_refused(saved, name, kind):
+    def change(arrays, document):
+        right = arrays[name].dtype
+        other = (np.float64 if right == np.float32 else np.float32) if kind == "other float" else kind
+        arrays[name] = arrays[name].astype(other)
+
+    rewritten(saved, change)
+    wanted = "float64" if name in ("variances", "training_loadings") else "float32"
+    assert_refused(saved, f"{name} should be {wanted} with . axes, found ")
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf, -1e-12])
+@pytest.mark.parametrize("place", [0, 2])
+def test_variances_that_cannot_be_are_refused(saved, place, value):
+    rewritten(saved, lambda arrays, document: arrays["variances"].__setitem__(place, value))
+    assert_refused(saved, "variances are not all finite and at least 0")
+
+
+def test_a_variance_of_zero_is_none_the_worse(saved):
+    rewritten(saved, lambda arrays, document: arrays["variances"].__setitem__(2, 0.0))
+    assert load_model(saved).sd[2] == 0
+
+
+@pytest.mark.parametrize(
+    "provenance", [{}, {"identity": None}, {"identity": 3}, {"identity": ["drawn"]}, ["drawn"]]
+)
+def test_a_model_of_nobody_is_refused(saved, provenance):
+    rewritten(saved, lambda arrays, document: document.update(provenance=provenance))
+    assert_refused(saved, "provenance names no identity")
 
 
 DAMAGES = [

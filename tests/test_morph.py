@@ -9,6 +9,7 @@ from morphspace.basis import fit_basis
 from morphspace.errors import BadInput, ReferenceMismatch
 from morphspace.model import inner_product
 from morphspace.morph import (
+    MEAN_FOLDS,
     Morph,
     MorphOffset,
     check_same_reference,
@@ -179,10 +180,48 @@ def test_the_mean_shape_composed_with_its_inverse_is_zero_inside(wavy_field):
     assert np.abs(miss[inside]).max() < 0.1  # the linear look-up of a cell against its two triangles
 
 
+def torn_field(amount_px):
+    return (amount_px * np.random.default_rng(0).standard_normal((HEIGHT, WIDTH, 2))).astype(np.float32)
+
+
 def test_a_mean_shape_that_cannot_be_inverted_is_refused():
-    torn = 20 * np.random.default_rng(0).standard_normal((HEIGHT, WIDTH, 2)).astype(np.float32)
+    torn = torn_field(0.25)  # noise: few cells fold, and yet a look-up does not find the way back
+    assert (warp.determinants(torn) <= 0).mean() < MEAN_FOLDS
     with pytest.raises(BadInput, match=r"cannot be inverted: it misses by .* px"):
         invert_mean_shape(torn)
+    invert_mean_shape(torn_field(0.1))
+
+
+def test_a_mean_shape_that_folds_is_refused():
+    with pytest.raises(BadInput, match=r"folds in 8\d\.\d% of the frame, allowed are 2%"):
+        invert_mean_shape(torn_field(20.0))
+
+
+@pytest.mark.parametrize("axis", [0, 1])
+def test_a_mirrored_mean_shape_is_refused_though_it_has_an_inverse(axis):
+    points = np.stack(np.meshgrid(np.arange(WIDTH), np.arange(HEIGHT)), axis=-1).astype(np.float32)
+    mirrored = np.zeros((HEIGHT, WIDTH, 2), np.float32)
+    mirrored[..., axis] = points[..., axis].max() - 2 * points[..., axis]
+    miss = warp.compose(mirrored, warp.invert(mirrored))
+    assert np.abs(miss).max() < 1e-3
+    with pytest.raises(BadInput, match=r"folds in 100\.0% of the frame"):
+        invert_mean_shape(mirrored)
+
+
+def test_a_mean_shape_may_fold_in_few_cells_and_no_more():
+    """Whole columns of cells turned over: just under the share that is allowed, and just over."""
+    width = 120
+    for columns, allowed in ((2, True), (3, False)):
+        field = np.zeros((HEIGHT, width, 2), np.float32)
+        for column in range(columns):
+            field[:, 20 + 30 * column, 0] = 1.5  # beyond its right neighbour
+        folded = (warp.determinants(field) <= 0).mean()
+        assert (folded <= MEAN_FOLDS) == allowed
+        if allowed:
+            invert_mean_shape(field)
+        else:
+            with pytest.raises(BadInput, match=r"folds in 2\.5%"):
+                invert_mean_shape(field)
 
 
 def test_flows_carried_to_the_mean_face_are_zero_on_average(wavy_field):

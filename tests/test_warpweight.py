@@ -6,14 +6,14 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from morphspace import warp
+from morphspace import warp, warpweight
 from morphspace.basis import fit_basis, gram_matrix, mean_row
 from morphspace.faces import face_mask
 from morphspace.measure import psnr_db
 from morphspace.model import inner_product
 from morphspace.morph import morph_of, parts_of, vector_of
-from morphspace.rows import RowArray
-from morphspace.warpweight import FACTORS, HELD_OUT, WeightTrial, best_trial, trial_weights
+from morphspace.rows import RowArray, RowFile
+from morphspace.warpweight import FACTORS, HELD_OUT, TRIED_FRAMES, WeightTrial, best_trial, trial_weights
 
 
 def rows_and_grams(clip, count=None):
@@ -33,16 +33,23 @@ def grams_of(rows, shape):
 
 def trials_of(clip, components=50, count=None, held=None):
     """The trials; the indices of the frames that were compared are appended to `held`."""
-    rows, texture, motion, mask = rows_and_grams(clip, count)
+    rows, _, _, mask = rows_and_grams(clip, count)
     names = [Path(name) for name in clip.names[: len(rows)]]
+    return trial_weights(
+        RowArray(rows), mean_row(RowArray(rows)), mask, components, names, loader(clip, held)
+    )
+
+
+def loader(clip, held=None):
+    """Gives the picture of a frame by its name; the index of each that was asked for is appended to `held`."""
 
     def load(path):
-        index = names.index(path)
+        index = clip.names.index(str(path))
         if held is not None:
             held.append(index)
         return clip.pictures[index]
 
-    return trial_weights(RowArray(rows), texture, motion, mask, components, names, load)
+    return load
 
 
 @pytest.mark.parametrize("components", [1, 2, 50])
@@ -89,10 +96,52 @@ def test_where_nothing_moves_or_nothing_changes_colour_there_is_nothing_to_try(c
     for frozen in (np.s_[colours:], np.s_[:colours]):
         same = rows.copy()
         same[:, frozen] = same[0, frozen]
-        texture, motion, _ = grams_of(same, mask.shape)
-        if frozen.start is None:
-            texture = np.zeros_like(texture)  # exactly; the mean of equal colours may round
-        assert trial_weights(RowArray(same), texture, motion, mask, 5, names, untouched) == ()
+        mean = mean_row(RowArray(same))
+        assert trial_weights(RowArray(same), mean, mask, 5, names, untouched) == ()
+        moving = mean_row(RowArray(rows))
+        with pytest.raises(AssertionError, match="was read"):
+            trial_weights(RowArray(rows), moving, mask, 5, names, untouched)
+
+
+@pytest.mark.parametrize("tried", [4, 5, 8])
+def test_of_many_frames_some_that_are_evenly_spread_take_part(clip, monkeypatch, tried):
+    rows, _, _, mask = rows_and_grams(clip)
+    assert tried < len(rows) < TRIED_FRAMES
+    mean, names = mean_row(RowArray(rows)), [Path(name) for name in clip.names]
+    chosen = np.linspace(0, len(rows) - 1, tried).round().astype(int)
+    some = [names[index] for index in chosen]
+    held, all_held = [], []
+    alone = trial_weights(RowArray(rows[chosen]), mean, mask, 3, some, loader(clip, held))
+    whole = trial_weights(RowArray(rows), mean, mask, 3, names, loader(clip, all_held))
+    monkeypatch.setattr(warpweight, "TRIED_FRAMES", tried)
+    subset_held = []
+    found = trial_weights(RowArray(rows), mean, mask, 3, names, loader(clip, subset_held))
+    assert found == alone
+    assert found != whole
+    assert subset_held == held
+    assert set(held) <= set(chosen)
+
+
+def test_frames_that_do_not_take_part_are_never_read(clip, monkeypatch):
+    rows, _, _, mask = rows_and_grams(clip)
+    mean, names = mean_row(RowArray(rows)), [Path(name) for name in clip.names]
+    monkeypatch.setattr(warpweight, "TRIED_FRAMES", 5)
+    found = trial_weights(RowArray(rows), mean, mask, 3, names, loader(clip))
+    for index in set(range(len(rows))) - {0, 2, 4, 6, 8}:
+        rows[index] = np.nan
+    assert trial_weights(RowArray(rows), mean, mask, 3, names, loader(clip)) == found
+
+
+@pytest.mark.parametrize("tried", [5, TRIED_FRAMES])
+def test_rows_in_a_file_give_the_same_trials(clip, monkeypatch, tmp_path, tried):
+    rows, _, _, mask = rows_and_grams(clip)
+    mean, names = mean_row(RowArray(rows)), [Path(name) for name in clip.names]
+    monkeypatch.setattr(warpweight, "TRIED_FRAMES", tried)
+    with RowFile(tmp_path / "some.rows", *rows.shape) as file:
+        for index, row in enumerate(rows):
+            file.write_row(index, row)
+        found = trial_weights(file, mean, mask, 3, names, loader(clip))
+    assert found == trial_weights(RowArray(rows), mean, mask, 3, names, loader(clip))
 
 
 def test_the_best_trial_is_that_of_the_highest_psnr():
