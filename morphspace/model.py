@@ -16,9 +16,8 @@ import numpy as np
 from morphspace import fitting, warp
 from morphspace.arrays import Affine, AnyArray, Displacement, Image, LoadingTable, LoadingVector, Mask
 from morphspace.basis import Basis
-from morphspace.errors import BadInput, ModelFileError, ReferenceMismatch, UnreadableFile
+from morphspace.errors import BadInput, ReferenceMismatch
 from morphspace.faces import (
-    REGISTRATION_KINDS,
     FaceFrame,
     Frame,
     RegistrationKind,
@@ -27,21 +26,9 @@ from morphspace.faces import (
     rigid_region,
 )
 from morphspace.flow import FlowFunction, baselines
+from morphspace.modelfile import FORMAT, FORMAT_VERSION, read_model_file
 from morphspace.morph import Morph, MorphOffset, morph_of, parts_of, resource, vector_of
-from morphspace.storage import digest_of_array, digest_of_json, read_container, write_container
-
-FORMAT = "morphspace-model"
-FORMAT_VERSION = 1
-ARRAY_KINDS: Mapping[str, tuple[int, type[np.floating[Any]]]] = {
-    "components": (2, np.float32),
-    "variances": (1, np.float64),
-    "mean_texture": (3, np.float32),
-    "mean_displacement": (3, np.float32),
-    "mean_inverse": (3, np.float32),
-    "mask": (2, np.float32),
-    "reference": (3, np.float32),
-    "training_loadings": (2, np.float64),
-}
+from morphspace.storage import digest_of_array, digest_of_json, write_container
 
 
 @dataclass(frozen=True, eq=False)
@@ -260,71 +247,11 @@ def model_digest(basis: Basis, mean: Morph, provenance: Mapping[str, Any]) -> st
 
 
 def load_model(path: Path | str) -> MorphModel:
-    """Open a `.morph` file; the components stay on the disk and are read when they are used.
+    """Open a `.morph` file; its arrays stay on the disk and are read when they are used.
 
-    Raises `ModelFileError` where the file is cut short, of a future version, or its arrays do not fit each other.
+    Raises `ModelFileError` where the file is cut short, of a future version, or its parts do not fit each other.
     """
-    path = Path(path)
-    try:
-        arrays, document = read_container(path)
-    except UnreadableFile as error:
-        raise ModelFileError(str(error)) from error
-    _check_header(path, document, arrays)
-    try:
-        return _assembled(arrays, document)
-    except (KeyError, TypeError, ValueError, BadInput) as error:
-        raise ModelFileError(
-            f"{path} does not hold together ({error}): copy it again or rebuild it"
-        ) from error
-
-
-def _check_header(path: Path, document: Mapping[str, Any], arrays: Mapping[str, AnyArray]) -> None:
-    if document.get("format") != FORMAT:
-        raise ModelFileError(
-            f"{path} is a {document.get('format')!r} file, not a {FORMAT!r}: give a .morph model"
-        )
-    version = document.get("version")
-    if version != FORMAT_VERSION:
-        raise ModelFileError(
-            f"{path} has format version {version}, this morphspace reads version {FORMAT_VERSION}: "
-            "install the morphspace that wrote it"
-        )
-    for name, (dimensions, kind) in ARRAY_KINDS.items():
-        if name not in arrays or arrays[name].ndim != dimensions or arrays[name].dtype != kind:
-            found = f"{arrays[name].dtype} {arrays[name].shape}" if name in arrays else "nothing"
-            raise ModelFileError(
-                f"{path}: {name} should be {np.dtype(kind)} with {dimensions} axes, found {found}; copy it again or "
-                "rebuild it"
-            )
-    height, width = arrays["mask"].shape
-    k = len(arrays["variances"])
-    names = document.get("training_frames")
-    frames = len(names) if isinstance(names, list) else 0
-    expected = {
-        "components": (k, 5 * height * width),
-        "mean_texture": (height, width, 3),
-        "mean_displacement": (height, width, 2),
-        "mean_inverse": (height, width, 2),
-        "reference": (height, width, 3),
-        "training_loadings": (frames, k),
-    }
-    for name, shape in expected.items():
-        if arrays[name].shape != shape:
-            raise ModelFileError(
-                f"{path}: {name} has shape {arrays[name].shape}, {shape} expected; copy it again or rebuild it"
-            )
-    variances = arrays["variances"]
-    if not (np.isfinite(variances).all() and (variances >= 0).all()):
-        raise ModelFileError(
-            f"{path}: its variances are not all finite and at least 0; copy it again or rebuild it"
-        )
-    provenance = document.get("provenance")
-    if not isinstance(provenance, dict) or not isinstance(provenance.get("identity"), str):
-        raise ModelFileError(f"{path}: its provenance names no identity; copy it again or rebuild it")
-    if document.get("registration") not in REGISTRATION_KINDS:
-        raise ModelFileError(
-            f"{path}: registration {document.get('registration')!r} is not one of {', '.join(REGISTRATION_KINDS)}"
-        )
+    return _assembled(*read_model_file(Path(path)))
 
 
 def _assembled(arrays: Mapping[str, AnyArray], document: Mapping[str, Any]) -> MorphModel:

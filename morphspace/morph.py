@@ -105,6 +105,10 @@ def invert_mean_shape(mean_field: Displacement) -> Displacement:
     Raises `BadInput` where the mean flow folds in more than `MEAN_FOLDS` of its cells, or m(m^-1(p)) misses p by more
     than 0.01 px at the median: then there is no mean face.
     """
+    if not np.isfinite(mean_field).all():
+        raise BadInput(
+            "the mean flow is not finite: choose another flow, or leave out frames without texture"
+        )
     folded = float((warp.determinants(mean_field) <= 0).mean())
     if folded > MEAN_FOLDS:
         raise BadInput(

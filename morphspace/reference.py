@@ -2,10 +2,10 @@
 
 The paper asks for a neutral face, eyes open, mouth slightly open with a little of the teeth and of the dark between
 them, so that the flow finds everything it needs to make the other frames (Nagle section 2). Two measurements stand for
-that wish. A frame that lacks what another shows leaves an error when that other is warped to it; what counts are the
-frames that are hardest to reach, not the many easy ones. Among frames that do about equally well, the one is taken
-whose mouth is half way between the most closed and the most open of the clip: from a closed mouth no warp makes an open
-one, and the mean face then shows the ghost of it.
+that wish. What counts about a frame is how well it reaches the frames that are hardest to reach, not the many easy
+ones: extreme frames lose, those in the middle win. Among frames that do about equally well, the one is taken whose
+mouth is half way between the most closed and the most open of the clip: from a closed mouth no warp makes an open one,
+and the mean face then shows the ghost of it.
 """
 
 from __future__ import annotations
@@ -26,6 +26,7 @@ CANDIDATES = 20  # of them, spread evenly: tried as the reference first
 HALF_OPEN = 10  # then those whose mouth is nearest to half open
 SMALL_SIDE_PX = 100  # of the frames compared
 HARDEST = 0.25  # share of the frames, the hardest to reach, whose mean error is the score
+EXTREMES = (5, 95)  # percentiles; a hand before the mouth in one frame must not decide what half open is
 ABOUT_EQUAL = 1.1  # times the best score; within it the mouth decides
 
 
@@ -84,7 +85,7 @@ def search(images: list[Image], contrasts: AnyArray, mask: Mask) -> Steps[tuple[
 
 
 def _half_open(contrasts: AnyArray) -> float:
-    return float(contrasts.min() + contrasts.max()) / 2
+    return float(np.percentile(contrasts, EXTREMES).mean())
 
 
 def _missing(reference: Image, frame: Image, mask: Mask) -> float:

@@ -125,8 +125,14 @@ def model():
     warp_weight = 0.1
     mean, basis, loadings = fit_basis(RowArray(rows), inner_product(mask, warp_weight), 10)
     texture, displacement = parts_of(mean, HEIGHT, WIDTH)
-    mean_morph = Morph(displacement, texture, "drawn-reference")
-    provenance = {"identity": "drawn", "licence": "CC0"}
+    mean_morph = Morph(displacement, texture, "d2a11f0123456789")
+    provenance = {
+        "identity": "drawn",
+        "licence": "CC0",
+        "framing": {"source_size": [64, 80], "crop": None, "size": [64, 80]},
+        "reference": {"frame": "neutral", "reason": "it was asked for", "sha256": "0" * 64},
+        "versions": {},
+    }
     names = tuple(f"frame_{i:03d}" for i in range(len(rows)))
     return MorphModel(
         mean=mean_morph,

@@ -14,7 +14,8 @@ from morphspace import warp
 from morphspace.errors import BadInput, ModelFileError, MorphspaceError, ReferenceMismatch, UnwritableFile
 from morphspace.faces import FaceFrame, Frame, identity_affine
 from morphspace.measure import psnr_db
-from morphspace.model import ARRAY_KINDS, Loadings, inner_product, load_model
+from morphspace.model import Loadings, inner_product, load_model
+from morphspace.modelfile import ARRAY_KINDS
 from morphspace.morph import Morph, MorphOffset, vector_of
 from morphspace.storage import read_container, write_container
 

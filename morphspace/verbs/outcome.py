@@ -67,7 +67,7 @@ def write_record(
         "verb": verb,
         "settings": dict(settings),
         "inputs": dict(inputs),
-        "outputs": {str(path.relative_to(folder)): digest_of_file(path) for path in sorted(outputs)},
+        "outputs": {path.relative_to(folder).as_posix(): digest_of_file(path) for path in sorted(outputs)},
         "versions": versions(),
     }
     path = folder / RECORD_NAME

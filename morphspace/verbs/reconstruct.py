@@ -79,10 +79,12 @@ def run(request: ReconstructRequest) -> Steps[Outcome]:
         request.output / "loadings.csv", joined(whole, parts), whole, request.model, inputs
     )
     written += [metrics, *loadings]
-    settings = {"components": model.rank, "model": str(request.model), "crop": request.crop}
-    record = write_record(
-        request.output, "reconstruct", settings, {"model": digest_of_file(request.model), **inputs}, written
-    )
+    settings = {"components": model.rank, "crop": request.crop}
+    files = {
+        "model": digest_of_file(request.model),
+        **{f"clip/{name}": digest for name, digest in inputs.items()},
+    }
+    record = write_record(request.output, "reconstruct", settings, files, written)
     psnr = np.array(table["psnr_db"], np.float64)
     lines = (
         f"{request.output}: {len(parts)} frames from {model.rank} components, {np.median(psnr):.1f} dB (median), "

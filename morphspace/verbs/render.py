@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 
@@ -45,11 +45,7 @@ def run(request: RenderRequest) -> Steps[Outcome]:
     if not np.isfinite(request.gain):
         raise BadInput(f"a gain of {request.gain} cannot be used: give a number, 1 for the faces as they are")
     loadings = table.loadings_sd * model.sd[: table.loadings_sd.shape[1]] * request.gain
-    settings: dict[str, Any] = {
-        "gain": request.gain,
-        "model": str(request.model),
-        "table": str(request.table),
-    }
+    settings = {"gain": request.gain}
     inputs = {"model": digest_of_file(request.model), "table": digest_of_file(request.table)}
     is_video = request.output.suffix.lower() in VIDEO_SUFFIXES
     total = len(table.frame_names)
