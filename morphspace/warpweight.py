@@ -18,6 +18,7 @@ from morphspace.arrays import AnyArray, Image, Mask
 from morphspace.basis import combine_rows, gram_matrix, principal_axes
 from morphspace.measure import psnr_db
 from morphspace.morph import parts_of
+from morphspace.progress import in_order
 from morphspace.rows import ColumnBlocks, RowSubset
 
 FACTORS = (1.0, 2.0, 4.0)  # times the weight that gives texture and warp equal variance
@@ -76,14 +77,15 @@ def trial_weights(
     nothing = np.zeros(rows.shape[1], np.float32)
     combine_rows(RowSubset(rows, chosen[kept]), np.concatenate(mixes), nothing, vectors)
     images = [load(frames[chosen[index]]) for index in held]
-    trials = []
-    for number, factor in enumerate(FACTORS):
-        block = vectors[number * len(held) : (number + 1) * len(held)]
-        scores = []
-        for vector, image in zip(block, images, strict=True):
-            texture, displacement = parts_of(vector, *mask.shape)
-            scores.append(psnr_db(warp.render(texture, displacement), image, mask))
-        trials.append(WeightTrial(factor * balanced, float(np.mean(scores))))
+
+    def score(number: int) -> float:
+        texture, displacement = parts_of(vectors[number], *mask.shape)
+        return psnr_db(warp.render(texture, displacement), images[number % len(held)], mask)
+
+    scores = np.reshape(list(in_order(score, range(len(vectors)))), (len(FACTORS), len(held)))
+    trials = [
+        WeightTrial(factor * balanced, float(row.mean())) for factor, row in zip(FACTORS, scores, strict=True)
+    ]
     return tuple(trials)
 
 
