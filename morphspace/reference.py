@@ -27,7 +27,7 @@ HALF_OPEN = 10  # then those whose mouth is nearest to half open
 SMALL_SIDE_PX = 100  # of the frames compared
 HARDEST = 0.25  # share of the frames, the hardest to reach, whose mean error is the score
 EXTREMES = (5, 95)  # percentiles; a hand before the mouth in one frame must not decide what half open is
-ABOUT_EQUAL = 1.1  # times the best score; within it the mouth decides
+ABOUT_EQUAL = 1.05  # times the best score; within it the mouth decides
 
 
 @dataclass(frozen=True, eq=False)
