@@ -8,6 +8,8 @@ stopped goes on where it was, and a build with other PCA settings starts from th
 from __future__ import annotations
 
 import contextlib
+import os
+import tempfile
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -279,8 +281,11 @@ def _aligned_image(file: Path) -> Image:
 
 @contextlib.contextmanager
 def _row_file(work_folder: Path, rows: int, width: int) -> Iterator[RowFile]:
-    path = work_folder / "morphs.rows"
-    path.unlink(missing_ok=True)
+    handle, name = tempfile.mkstemp(
+        prefix="morphs-", suffix=".rows", dir=work_folder
+    )  # its own: folders are shared
+    os.close(handle)
+    path = Path(name)
     try:
         with RowFile(path, rows, width) as file:
             yield file
@@ -349,8 +354,8 @@ def _warnings(source: FrameSource, choice: ReferenceChoice, model: MorphModel) -
     ]
     if same:
         found.append(
-            f"{len(same)} frames are identical to the reference {choice.name} ({', '.join(same[:3])}"
-            f"{', ...' if len(same) > 3 else ''}): they add nothing to the model; leave them out"
+            f"identical to the reference {choice.name}, byte for byte: {', '.join(same[:3])}"
+            f"{', ...' if len(same) > 3 else ''} ({len(same)} in all); leave out what repeats"
         )
     if model.rank == 0:
         found.append(

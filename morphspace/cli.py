@@ -69,7 +69,30 @@ class WeightOrAuto(click.ParamType):  # type: ignore[type-arg]
             self.fail(f"{value!r} is neither auto nor a number")
 
 
-@click.group(context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100})
+class OneLineErrors(click.Group):
+    """A group whose usage errors are one line, like every other error."""
+
+    def main(self, *args: Any, **extra: Any) -> Any:
+        extra["standalone_mode"] = False
+        try:
+            code = super().main(*args, **extra)
+        except click.UsageError as error:
+            if (
+                type(error).__name__ == "NoArgsIsHelpError"
+            ):  # `morphspace` alone: its message is the help itself
+                click.echo(error.format_message())
+                sys.exit(2)
+            words = error.ctx.command_path if error.ctx else "morphspace"
+            _fail(f"{error.format_message()} See {words} --help", 2)
+        except click.Abort:
+            _fail("stopped", INTERRUPTED)
+        sys.exit(code if isinstance(code, int) else 0)
+
+
+@click.group(
+    cls=OneLineErrors,
+    context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100},
+)
 @click.version_option(__version__, prog_name="morphspace")
 def main() -> None:
     """Controllable face models for psychophysics, from clips or photographs.
@@ -139,13 +162,13 @@ def _driven(steps: Steps[Outcome], silent: bool) -> Outcome:
 def _show(outcome: Outcome, quiet: bool, as_json: bool) -> None:
     for warning in outcome.warnings:
         if not quiet:
-            click.echo(f"note: {warning}", err=True)
+            click.echo(f"note: {' '.join(warning.split())}", err=True)
     if as_json:
         document = {**outcome.document, "warnings": list(outcome.warnings)}
         click.echo(json.dumps(document, indent=2, sort_keys=True))
     elif not quiet:
         for line in outcome.lines:
-            click.echo(line)
+            click.echo(re.sub(r"[\x00-\x1f\x7f]+", " ", line))
 
 
 def _fail(message: str, code: int) -> None:
@@ -163,7 +186,14 @@ CROPPED = click.option("--crop", type=CROP, help="Cut this box out of every fram
 @click.option(
     "-o", "--output", type=click.Path(path_type=Path), help="The .morph file [default: the clip's name]."
 )
-@click.option("-k", "--components", default=50, show_default=True, help="The most components to keep.")
+@click.option(
+    "-k",
+    "--components",
+    type=click.IntRange(1, 10_000),
+    default=50,
+    show_default=True,
+    help="The most components to keep.",
+)
 @click.option("--size", type=SIZE, help="Model frame size; scales to cover and crops to the middle.")
 @CROPPED
 @click.option(
@@ -273,10 +303,18 @@ def reconstruct(model: Path, clip: tuple[str, ...], **options: Any) -> Steps[Out
 @click.option(
     "-o", "--output", type=click.Path(path_type=Path), required=True, help="The folder to write into."
 )
-@click.option("-n", "--count", default=16, show_default=True, help="How many faces.")
-@click.option("--seed", default=0, show_default=True, help="The same seed gives the same faces.")
 @click.option(
-    "--spread", default=1.0, show_default=True, help="Scale of the distribution; 1 is the model's own."
+    "-n", "--count", type=click.IntRange(1, 100_000), default=16, show_default=True, help="How many faces."
+)
+@click.option(
+    "--seed", type=click.IntRange(0), default=0, show_default=True, help="The same seed gives the same faces."
+)
+@click.option(
+    "--spread",
+    type=click.FloatRange(0, 100),
+    default=1.0,
+    show_default=True,
+    help="Scale of the distribution; 1 is the model's own.",
 )
 @verb
 def sample(model: Path, **options: Any) -> Steps[Outcome]:
@@ -291,9 +329,23 @@ def sample(model: Path, **options: Any) -> Steps[Outcome]:
 @click.option(
     "-o", "--output", type=click.Path(path_type=Path), required=True, help="The folder to write into."
 )
-@click.option("-k", "--components", default=10, show_default=True, help="How many components.")
-@click.option("-n", "--amount-sd", default=3.0, show_default=True, help="From minus to plus so many SD.")
-@click.option("--steps", default=7, show_default=True, help="Faces in a strip.")
+@click.option(
+    "-k",
+    "--components",
+    type=click.IntRange(1, 10_000),
+    default=10,
+    show_default=True,
+    help="How many components.",
+)
+@click.option(
+    "-n",
+    "--amount-sd",
+    type=click.FloatRange(0, 100, min_open=True),
+    default=3.0,
+    show_default=True,
+    help="From minus to plus so many SD.",
+)
+@click.option("--steps", type=click.IntRange(2, 1000), default=7, show_default=True, help="Faces in a strip.")
 @verb
 def sweep(model: Path, **options: Any) -> Steps[Outcome]:
     """Show what each component of MODEL does, as strips and videos."""
@@ -306,17 +358,49 @@ def sweep(model: Path, **options: Any) -> Steps[Outcome]:
 @click.option(
     "-o", "--output", type=click.Path(path_type=Path), required=True, help="The folder to write into."
 )
-@click.option("--identities", default=4, show_default=True, help="How many drawn people.")
-@click.option("--portraits", default=0, show_default=True, help="How many animated photographs, besides.")
-@click.option("--frames", default=60, show_default=True, help="Frames of each clip.")
-@click.option("--seed", default=1, show_default=True, help="The same seed draws the same people.")
+@click.option(
+    "--identities", type=click.IntRange(0, 1000), default=4, show_default=True, help="How many drawn people."
+)
+@click.option(
+    "--portraits",
+    type=click.IntRange(0, 1000),
+    default=0,
+    show_default=True,
+    help="How many animated photographs, besides.",
+)
+@click.option(
+    "--frames", type=click.IntRange(1, 100_000), default=60, show_default=True, help="Frames of each clip."
+)
+@click.option(
+    "--seed",
+    type=click.IntRange(0),
+    default=1,
+    show_default=True,
+    help="The same seed draws the same people.",
+)
 @click.option("--size", type=SIZE, default="200x240", show_default=True, help="Size of the frames, px.")
 @click.option(
-    "--head-motion", "head_motion_px", default=0.0, show_default=True, help="Rigid head movement, px."
+    "--head-motion",
+    "head_motion_px",
+    type=click.FloatRange(0, 100),
+    default=0.0,
+    show_default=True,
+    help="Rigid head movement, px.",
 )
-@click.option("--light-change", default=0.0, show_default=True, help="Change of light over the clip, share.")
 @click.option(
-    "--noise", "noise_sd", default=0.0, show_default=True, help="Sensor noise, sd in colour (0 to 1)."
+    "--light-change",
+    type=click.FloatRange(0, 1),
+    default=0.0,
+    show_default=True,
+    help="Change of light over the clip, share.",
+)
+@click.option(
+    "--noise",
+    "noise_sd",
+    type=click.FloatRange(0, 1),
+    default=0.0,
+    show_default=True,
+    help="Sensor noise, sd in colour (0 to 1).",
 )
 @verb
 def make_actors(**options: Any) -> Steps[Outcome]:

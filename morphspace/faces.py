@@ -81,6 +81,10 @@ class Framing:
             raise BadInput(
                 f"crop {x},{y},{w},{h} leaves the image of {width}x{height}: give x,y,w,h inside it"
             )
+        if max(self.size) > MAX_SIDE_PX:
+            raise BadInput(
+                f"frames of {self.size[0]}x{self.size[1]} are too large: give at most {MAX_SIDE_PX} px a side"
+            )
         if min(self.size) < MIN_SIDE_PX:
             raise BadInput(
                 f"frames of {self.size[0]}x{self.size[1]} are too small for a face: at least "
@@ -124,6 +128,7 @@ class Framing:
         return np.column_stack([np.diag(scale), scale * corner - 0.5 + (x, y)])
 
 
+MAX_SIDE_PX = 4096  # a frame of that size has 80 million numbers
 MIN_SIDE_PX = 32  # below it the coarsest flow level has nothing to hold on to
 
 

@@ -26,7 +26,7 @@ from morphspace.faces import (
     rigid_region,
 )
 from morphspace.flow import FlowFunction, baselines
-from morphspace.modelfile import FORMAT, FORMAT_VERSION, read_model_file
+from morphspace.modelfile import FORMAT, FORMAT_VERSION, content_digest, read_model_file
 from morphspace.morph import Morph, MorphOffset, morph_of, parts_of, resource, vector_of
 from morphspace.storage import digest_of_array, digest_of_json, write_container
 
@@ -188,10 +188,15 @@ class MorphModel:
                 f"{name} is {image.shape[1]}x{image.shape[0]}, the model's frames are {self.size[0]}x{self.size[1]}: "
                 "scale or crop it first"
             )
+        if image.dtype != np.float32 or not np.isfinite(image).all():
+            raise BadInput(
+                f"{name} is {image.dtype} or not finite everywhere: give float32 in [0, 1], as `read_image` does"
+            )
 
     def save(self, path: Path | str) -> None:
         """Write the model as a `.morph` file, whole or not at all (data_spec/model-file.md)."""
-        write_container(Path(path), self._arrays(), self._document())
+        arrays, document = self._arrays(), self._document()
+        write_container(Path(path), arrays, {**document, "content_sha256": content_digest(arrays, document)})
 
     def _arrays(self) -> dict[str, AnyArray]:
         return {

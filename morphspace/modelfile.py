@@ -12,7 +12,7 @@ import numpy as np
 from morphspace.arrays import AnyArray
 from morphspace.errors import ModelFileError, UnreadableFile
 from morphspace.faces import REGISTRATION_KINDS
-from morphspace.storage import read_container
+from morphspace.storage import digest_of_array, digest_of_json, read_container
 
 FORMAT = "morphspace-model"
 FORMAT_VERSION = 1
@@ -44,9 +44,9 @@ def read_model_file(path: Path) -> tuple[dict[str, AnyArray], dict[str, Any]]:
             f"{path} is a {document.get('format')!r} file, not a {FORMAT!r}: give a .morph model"
         )
     version = document.get("version")
-    if version != FORMAT_VERSION:
+    if type(version) is not int or version != FORMAT_VERSION:
         raise ModelFileError(
-            f"{path} has format version {version}, this morphspace reads version {FORMAT_VERSION}: "
+            f"{path} has format version {version!r}, this morphspace reads version {FORMAT_VERSION}: "
             "install the morphspace that wrote it"
         )
     _check_document(path, document)
@@ -54,9 +54,26 @@ def read_model_file(path: Path) -> tuple[dict[str, AnyArray], dict[str, Any]]:
     return arrays, document
 
 
+def content_digest(arrays: Mapping[str, AnyArray], document: Mapping[str, Any]) -> str:
+    """Give the SHA-256 over everything a model file says: all arrays by name, and the document without this digest."""
+    said = {key: value for key, value in document.items() if key != "content_sha256"}
+    return digest_of_json([said, {name: digest_of_array(array) for name, array in arrays.items()}])
+
+
+def check_content(path: Path) -> None:
+    """Read a model file whole; raise `ModelFileError` where it is not what was written."""
+    arrays, document = read_model_file(path)
+    found, recorded = content_digest(arrays, document), document["content_sha256"]
+    if found != recorded:
+        raise ModelFileError(
+            f"{path} was changed after it was written: its digest is {found[:16]}, {recorded[:16]} is recorded; {MEND}"
+        )
+
+
 def _check_document(path: Path, document: Mapping[str, Any]) -> None:
     names = document.get("training_frames")
     wanted = {
+        "content_sha256": isinstance(document.get("content_sha256"), str),
         "model_id": _is_id(document.get("model_id")),
         "reference_id": _is_id(document.get("reference_id")),
         "warp_weight": _is_number(document.get("warp_weight")) and document["warp_weight"] > 0,
@@ -103,6 +120,9 @@ def _is_provenance(value: Any) -> bool:
         return False
     crop = framing.get("crop")
     is_crop = crop is None or (isinstance(crop, list) and len(crop) == 4 and all(map(_is_number, crop)))
+    rate = value.get("frame_rate_hz")
+    if not (rate is None or (_is_number(rate) and 0 < rate <= 1000)):
+        return False
     is_told = isinstance(reference.get("frame"), str) and isinstance(value.get("versions"), dict)
     return is_crop and is_told and _is_pair(framing.get("source_size")) and _is_pair(framing.get("size"))
 

@@ -17,6 +17,7 @@ import cv2
 import numpy as np
 
 from morphspace.arrays import Affine, AnyArray, Displacement, Image, Mask, Points
+from morphspace.errors import BadInput
 
 SPLINE_POLE = np.sqrt(3.0) - 2.0  # of the cubic B-spline's inverse filter
 SPLINE_TAPS = 15  # a side; the pole to this power is 3e-9, below float32
@@ -39,6 +40,7 @@ def sample(image: Image, displacement: Displacement) -> Image:
 
 def sample_at(image: Image, x: AnyArray, y: AnyArray) -> Image:
     """Read `image` (H, W, c) at the points (x, y) px, arrays of one shape (h, w), by cubic B-spline; see `sample`."""
+    _check_positions(x, y)
     coefficients = spline_coefficients(image)
     height, width = image.shape[:2]
     (left, right, from_left, from_right) = _spline_pairs(np.clip(x, 0, width - 1))
@@ -54,6 +56,14 @@ def sample_at(image: Image, x: AnyArray, y: AnyArray) -> Image:
     lower *= from_bottom
     upper += lower
     return upper
+
+
+def _check_positions(x: AnyArray, y: AnyArray) -> None:
+    """Raise where a position is not finite: OpenCV would reflect it at the edges for ever."""
+    if not (np.isfinite(x).all() and np.isfinite(y).all()):
+        raise BadInput(
+            "a displacement holds values that are not finite: look at the image or the loadings it came from"
+        )
 
 
 def spline_coefficients(image: Image) -> Image:
@@ -99,6 +109,7 @@ def sample_field(field: AnyArray, displacement: Displacement) -> AnyArray:
     Displacements are piecewise linear between grid points everywhere in morphspace, so this reading is exact.
     """
     x, y = positions(displacement)
+    _check_positions(x, y)
     height, width = field.shape[:2]
     return _linear(field, np.clip(x, 0, width - 1), np.clip(y, 0, height - 1))
 

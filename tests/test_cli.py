@@ -17,6 +17,7 @@ import pytest
 from click.testing import CliRunner, Result
 
 from morphspace.cli import main
+from morphspace.errors import BadInput
 from morphspace.files.images import read_image, write_image
 from morphspace.files.tables import read_loadings_table, read_metrics_table
 from morphspace.model import load_model
@@ -233,7 +234,7 @@ def test_info_notices_a_changed_number(model: Path, tmp_path: Path):
         (["build-model", "CLIP", "-o", "OUT/a.morph", "--reference", "frame_0077.png"], ["frame_0077.png"]),
         (["build-model", "CLIP", "-o", "OUT/a.morph", "--crop", "10,10,100,20"], ["10,10,100,20", "64x80"]),
         (["build-model", "CLIP", "-o", "OUT/a.morph", "--size", "8x8"], ["8x8"]),
-        (["build-model", "CLIP", "-o", "OUT/a.morph", "-k", "0"], ["0 components"]),
+        (["build-model", "CLIP", "-o", "OUT/a.morph", "-k", "0"], ["--components", "0"]),
         (["build-model", "CLIP", "-o", "OUT/a.morph", "--warp-weight", "-1"], ["-1"]),
         (["build-model", "CLIP", "-o", "OUT/a.morph", "--warp-weight", "nan"], ["nan"]),
         (["build-model", "CLIP", "-o", "OUT/a.morph", "--mask", "nowhere.png"], ["nowhere.png"]),
@@ -241,9 +242,9 @@ def test_info_notices_a_changed_number(model: Path, tmp_path: Path):
         (["encode", "MODEL", "nowhere", "-o", "OUT/a.csv"], ["nowhere"]),
         (["render", "MODEL", "nowhere.csv", "-o", "OUT/images"], ["nowhere.csv"]),
         (["reconstruct", "MODEL", "CLIP", "-o", "OUT/back", "-k", "99"], ["99"]),
-        (["sample", "MODEL", "-o", "OUT/s", "-n", "0"], ["0 faces"]),
+        (["sample", "MODEL", "-o", "OUT/s", "-n", "0"], ["--count", "0"]),
         (["sample", "MODEL", "-o", "OUT/s", "--seed", "-1"], ["-1"]),
-        (["sweep", "MODEL", "-o", "OUT/s", "--steps", "1"], ["1 steps"]),
+        (["sweep", "MODEL", "-o", "OUT/s", "--steps", "1"], ["--steps", "1"]),
         (["make-actors", "-o", "OUT/s", "--identities", "0"], ["0 identities"]),
     ],
 )
@@ -320,3 +321,82 @@ def test_debug_shows_where_it_failed():
     result = run("info", "nowhere.morph", "--debug")
     assert result.exit_code != 0 and result.exception is not None
     assert os.fspath("nowhere.morph") in str(result.exception)
+
+
+def test_frames_with_dots_in_their_names_keep_apart(actor: Path, model: Path, tmp_path: Path):
+    clip = tmp_path / "dots"
+    clip.mkdir()
+    for index in range(4):
+        (clip / f"anna.take{index:02d}.png").write_bytes((actor / f"frame_000{index}.png").read_bytes())
+    assert run("reconstruct", model, clip, "-o", tmp_path / "back").exit_code == 0
+    names = [f"anna.take{index:02d}.png" for index in range(4)]
+    assert sorted(path.name for path in (tmp_path / "back" / "placed").iterdir()) == names
+    assert run("render", model, tmp_path / "back" / "loadings.csv", "-o", tmp_path / "again").exit_code == 0
+    assert sorted(path.name for path in (tmp_path / "again").glob("*.png")) == names
+
+
+def test_an_output_never_replaces_an_input(actor: Path, model: Path, tmp_path: Path):
+    clip = copied(actor, tmp_path / "clip")
+    (clip / "clip.json").write_bytes((actor / "clip.json").read_bytes())
+    before = {path.name: path.read_bytes() for path in clip.iterdir()}
+    for words in (
+        ["build-model", clip, "-o", clip / "frame_0002.png", *FAST],
+        ["build-model", clip, "-o", tmp_path / "a.html", *FAST],
+        ["build-model", clip, "-o", tmp_path / "a.morph", "--report", tmp_path / "a.morph", *FAST],
+        ["build-model", clip, "-o", tmp_path / "a.morph", "--report", clip / "frame_0003.png", *FAST],
+        ["encode", model, clip, "-o", clip / "clip.csv"],
+        ["encode", model, clip, "-o", tmp_path / "table"],
+        ["render", model, tmp_path / "t.csv", "-o", tmp_path / "x.gif"],
+    ):
+        assert run(*words).exit_code == 2, words
+    assert {path.name: path.read_bytes() for path in clip.iterdir()} == before
+
+
+def test_a_truncated_model_is_whole_when_it_is_saved(model: Path, tmp_path: Path):
+    small = load_model(model).truncate(2)
+    small.save(tmp_path / "small.morph")
+    assert run("info", tmp_path / "small.morph").exit_code == 0
+
+
+def test_a_table_may_lose_rows_and_gain_them(actor: Path, model: Path, tmp_path: Path):
+    table = tmp_path / "a.csv"
+    assert run("encode", model, actor, "-o", table).exit_code == 0
+    lines = table.read_text(encoding="utf-8").splitlines()
+    table.write_text("\n".join([*lines[:4], lines[5].replace("frame_0004", "new")]) + "\n", encoding="utf-8")
+    assert run("render", model, table, "-o", tmp_path / "out").exit_code == 0
+    assert (tmp_path / "out" / "new.png").exists() and len(list((tmp_path / "out").glob("*.png"))) == 4
+
+
+def test_loadings_beyond_reason_are_refused_before_anything_is_drawn(
+    actor: Path, model: Path, tmp_path: Path
+):
+    table = tmp_path / "a.csv"
+    assert run("encode", model, actor, "-o", table).exit_code == 0
+    refused(run("render", model, table, "-o", tmp_path / "out", "--gain", "1e9"), "SD", "a.csv")
+    assert list((tmp_path / "out").glob("*")) == [] if (tmp_path / "out").exists() else True
+
+
+def test_a_video_has_its_record_beside_it(actor: Path, model: Path, tmp_path: Path):
+    assert run("encode", model, actor, "-o", tmp_path / "a.csv").exit_code == 0
+    assert run("render", model, tmp_path / "a.csv", "-o", tmp_path / "a.mp4").exit_code == 0
+    record = json.loads((tmp_path / "a.mp4.record.json").read_text(encoding="utf-8"))
+    assert record["verb"] == "render" and list(record["outputs"]) == ["a.mp4"]
+
+
+@pytest.mark.parametrize(
+    "points", [[[-900, 20], [-880, 20], [-890, 40]], [[30, 30], [30.0001, 30], [30, 40]]]
+)
+def test_a_faceframe_that_places_no_face_is_refused(actor: Path, tmp_path: Path, points: list[list[float]]):
+    clip = copied(actor, tmp_path / "clip")
+    sidecar = json.loads((actor / "clip.json").read_text(encoding="utf-8"))
+    sidecar["faceframe"].update(zip(("right_eye", "left_eye", "philtrum"), points, strict=True))
+    (clip / "clip.json").write_text(json.dumps(sidecar), encoding="utf-8")
+    refused(run("build-model", clip, "-o", tmp_path / "a.morph", *FAST), "faceframe")
+
+
+def test_an_image_that_is_not_finite_is_refused(model: Path):
+    opened = load_model(model)
+    with pytest.raises(BadInput, match="not finite"):
+        opened.encode(np.full_like(opened.reference, np.nan))
+    with pytest.raises(BadInput, match="uint8"):
+        opened.encode(np.zeros(opened.reference.shape, np.uint8))

@@ -148,7 +148,7 @@ def open_clip(sources: Sequence[str | Path]) -> Clip:
 
 def _expand(source: str) -> list[Path]:
     """Give the existing path, or what a pattern matches."""
-    path = Path(source).expanduser()
+    path = Path(source)
     try:
         if path.exists():
             if path.is_file() and path.suffix.lower() not in IMAGE_SUFFIXES + VIDEO_SUFFIXES:
@@ -178,7 +178,7 @@ def _expand(source: str) -> list[Path]:
 
 
 def _is_kind(path: Path, suffixes: tuple[str, ...]) -> bool:
-    return path.suffix.lower() in suffixes and not path.name.startswith(".") and path.is_file()
+    return path.suffix.lower() in suffixes and not path.name.startswith(".") and not path.is_dir()
 
 
 def _clip_of_folder(folder: Path) -> Clip:

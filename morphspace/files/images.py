@@ -81,7 +81,7 @@ def read_image(path: str | Path, *, background: Sequence[float] | None = None) -
         if background is None:
             raise BadInput(
                 f"{path} has an alpha channel that is not opaque (down to {values[..., -1].min():.3g}): "
-                "give a colour to put it on, background=(r, g, b), or save it without transparency"
+                "save it without transparency, or read it in Python with background=(r, g, b)"
             )
         alpha = values[..., -1:]
         behind = np.asarray(background, np.float32)

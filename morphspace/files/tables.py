@@ -212,12 +212,11 @@ def _check_document(path: Path, beside: Path, document: Mapping[str, Any], shape
     check_format(beside, document, LOADINGS_FORMAT, LOADINGS_VERSION)
     if document.get("unit") != LOADINGS_UNIT:
         raise BadInput(f"{beside}: the unit is {document.get('unit')!r}, {LOADINGS_UNIT!r} was expected")
-    for key, found in (("frame_count", shape[0]), ("component_count", shape[1])):
-        if document.get(key, found) != found:
-            raise BadInput(
-                f"{beside} says {key} {document[key]}, {path} has {found}: "
-                "the two files do not belong together"
-            )
+    if document.get("component_count", shape[1]) < shape[1]:
+        raise BadInput(
+            f"{beside} says component_count {document['component_count']}, {path} has {shape[1]}: "
+            "the two files do not belong together"
+        )
 
 
 def _number(path: Path, line: int, heading: str, cell: str) -> float:

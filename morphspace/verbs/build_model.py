@@ -18,15 +18,18 @@ from morphspace.faces import FaceFrame, Framing, RegistrationKind
 from morphspace.files.clips import Clip, open_clip
 from morphspace.files.framed import FramedClip
 from morphspace.files.images import read_mask
+from morphspace.files.sidecars import MarkedFaceframe
 from morphspace.flow import baselines
 from morphspace.model import MorphModel
 from morphspace.progress import Steps, result_of
-from morphspace.report import measure_frames, write_report
+from morphspace.report import Case, advice_for, measure_frames, write_report
 from morphspace.storage import digest_of_array
-from morphspace.verbs.outcome import Outcome, check_folder, versions
+from morphspace.verbs.outcome import Outcome, check_file, check_folder, versions
 from morphspace.warp import apply_affine, inverse_affine
 
 DEFAULT_SIDE_PX = 400  # frames larger than this are scaled to cover 200 x 240 unless a size is given
+MOST_WEIGHT = 1000.0  # colour per px; from 10 on texture has no say at all
+LEAST_FACEFRAME_PX = 4.0  # below it the points do not place a face
 DEFAULT_SIZE = (200, 240)  # Nagle section 2
 
 
@@ -62,6 +65,8 @@ def run(request: BuildModelRequest) -> Steps[Outcome]:
     clip = open_clip(request.sources)
     output = request.output or Path(f"{clip.name}.morph")
     report = request.report or output.with_suffix(".html")
+    check_file(output, ".morph", clip.paths)
+    check_file(report, ".html", clip.paths)
     check_folder(output.parent)
     check_folder(report.parent)
     with _work_folder(request.work_folder, output) as work_folder:
@@ -95,7 +100,9 @@ def run(request: BuildModelRequest) -> Steps[Outcome]:
         "psnr_db_10th_percentile": float(np.percentile(psnr, 10)),
         "fold_fraction": float(build.fold_fractions.mean()),
     }
-    return Outcome(lines, document, (*notes, *build.warnings), (output, report))
+    case = Case(build, figures, source_size(clip.size, request.crop))
+    advice = tuple(item.text for item in advice_for(case) if item.level == "mend")
+    return Outcome(lines, document, (*notes, *dict.fromkeys((*build.warnings, *advice))), (output, report))
 
 
 @contextlib.contextmanager
@@ -187,9 +194,10 @@ def build_model(
 def check_request(request: BuildModelRequest) -> None:
     """Raise `BadInput` for settings that cannot be meant."""
     weight = request.warp_weight
-    if weight is not None and not (np.isfinite(weight) and weight > 0):
+    if weight is not None and not 0 < weight <= MOST_WEIGHT:
         raise BadInput(
-            f"a warp weight of {weight} cannot be used: give a number above 0 (colour per px), or auto"
+            f"a warp weight of {weight} cannot be used: give a number above 0, at most "
+            f"{MOST_WEIGHT:g} colour per px, or auto"
         )
 
 
@@ -244,7 +252,14 @@ def _faceframe(clip: Clip, framing: Framing) -> tuple[FaceFrame | None, int | No
     marked = clip.sidecar.faceframe
     if marked is None:
         return None, None
+    marked = MarkedFaceframe(marked.image, marked.points, clip.size)  # checks that it lies in the picture
     points = apply_affine(inverse_affine(framing.to_source), marked.points)
+    width, height = np.hypot(*(points[1] - points[0])), np.hypot(*(points[2] - points[:2].mean(axis=0)))
+    if min(width, height) < LEAST_FACEFRAME_PX:
+        raise BadInput(
+            f"the faceframe of {marked.image} is {width:.1f} px from eye to eye and {height:.1f} px from eyes to "
+            f"philtrum at the model's size, at least {LEAST_FACEFRAME_PX:g} px are needed: mark it again"
+        )
     right, left, lip = (tuple(map(float, point)) for point in points)
     return FaceFrame(right, left, lip), _index_of(marked.image, clip)  # type: ignore[arg-type]
 

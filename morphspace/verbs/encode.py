@@ -7,12 +7,14 @@ from pathlib import Path
 
 import numpy as np
 
-from morphspace.files.tables import write_loadings_table
+from morphspace.errors import BadInput
+from morphspace.files.sidecars import read_json_object
+from morphspace.files.tables import LOADINGS_FORMAT, write_loadings_table
 from morphspace.model import Loadings, MorphModel, load_model
 from morphspace.progress import Step, Steps
 from morphspace.storage import digest_of_file
 from morphspace.verbs.encoding import encoded_frames, framed_for, joined
-from morphspace.verbs.outcome import Outcome, check_folder, versions
+from morphspace.verbs.outcome import Outcome, check_file, check_folder, versions
 
 
 @dataclass(frozen=True)
@@ -29,7 +31,11 @@ def run(request: EncodeRequest) -> Steps[Outcome]:
     """Encode and write the table and its sidecar. Returns an `Outcome`."""
     model = load_model(request.model)
     source = framed_for(model, request.sources, request.crop)
+    sidecar = request.output.with_suffix(".json")
+    check_file(request.output, ".csv", source.clip.paths)
     check_folder(request.output.parent)
+    if sidecar.exists() and read_json_object(sidecar).get("format") != LOADINGS_FORMAT:
+        raise BadInput(f"{sidecar} would be replaced, and is no table's sidecar: give the table another name")
     parts: list[Loadings] = []
     for encoded in encoded_frames(model, source):
         parts.append(encoded.loadings)

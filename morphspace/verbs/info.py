@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-from morphspace.errors import ModelFileError
-from morphspace.model import load_model, model_digest, points_document
+from morphspace.model import load_model, points_document
+from morphspace.modelfile import check_content
 from morphspace.progress import Step, Steps
 from morphspace.verbs.build_model import explained_variance
 from morphspace.verbs.outcome import Outcome
@@ -25,12 +25,7 @@ def run(request: InfoRequest) -> Steps[Outcome]:
     """Read the model, check its digest, and give an `Outcome` with its description."""
     model = load_model(request.model)
     yield Step("check", 0, 1)
-    found = model_digest(model.basis, model.mean, model.provenance)
-    if found != model.model_id:
-        raise ModelFileError(
-            f"{request.model} was changed after it was written: its digest is {found}, {model.model_id} is recorded; "
-            "copy it again or rebuild it"
-        )
+    check_content(request.model)
     yield Step("check", 1, 1)
     total = max(float(model.basis.variances.sum()) / max(explained_variance(model), 1e-12), 1e-30)
     shares = (model.basis.variances / total).tolist()

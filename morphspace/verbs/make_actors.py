@@ -6,8 +6,11 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from morphspace import synthetic
+from morphspace.errors import BadInput
 from morphspace.progress import Step, Steps
 from morphspace.verbs.outcome import Outcome, check_folder, write_record
+
+LEAST_SIDE_PX, MOST_SIDE_PX = 48, 1024  # larger ones take minutes to paint
 
 
 @dataclass(frozen=True)
@@ -30,6 +33,11 @@ class MakeActorsRequest:
 
 def run(request: MakeActorsRequest) -> Steps[Outcome]:
     """Write the clip folders and truth/. Returns an `Outcome`."""
+    width, height = request.size
+    if not (min(width, height) >= LEAST_SIDE_PX and max(width, height) <= MOST_SIDE_PX):
+        raise BadInput(
+            f"actors of {width}x{height} cannot be drawn: give {LEAST_SIDE_PX} to {MOST_SIDE_PX} px a side"
+        )
     check_folder(request.output)
     total = (request.identities + request.portraits) * request.frames
     written: list[Path] = []

@@ -8,16 +8,19 @@ from __future__ import annotations
 
 import importlib.metadata
 import platform
-from collections.abc import Iterable, Mapping
+import re
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 from morphspace import __version__
-from morphspace.errors import UnwritableFile
+from morphspace.errors import BadInput, UnwritableFile
 from morphspace.storage import digest_of_file, json_text, write_text
 
 RECORD_NAME = "record.json"
+FOLDER_MARKS = re.compile(r"[/\\]")
+LONGEST_NAME = 200  # bytes; file systems allow 255, and a temporary name is longer
 COMPUTING_PACKAGES = (
     "numpy",
     "scipy",
@@ -57,10 +60,41 @@ def check_folder(folder: Path) -> None:
         ) from error
 
 
+def picture_names(names: Sequence[str]) -> tuple[str, ...]:
+    """Give the file name of each frame's picture: NAME.png, folders in the name joined by underscores.
+
+    Raises `BadInput` where two frames would share a file, or a name cannot be a file's.
+    """
+    files = tuple(f"{FOLDER_MARKS.sub('_', name)}.png" for name in names)
+    for name, file in zip(names, files, strict=True):
+        if not name.strip(". ") or len(file.encode()) > LONGEST_NAME or "\0" in name:
+            raise BadInput(f"a frame is called {name!r:.60}, which cannot name a picture: rename it")
+        if files.count(file) > 1:
+            raise BadInput(
+                f"{files.count(file)} frames would be written as {file}: give each frame its own name"
+            )
+    return files
+
+
+def check_file(path: Path, suffix: str, kept: Iterable[Path] = ()) -> None:
+    """Raise `BadInput` where an output has another suffix, is a folder, or is one of the files to be `kept`."""
+    if path.suffix.lower() != suffix:
+        raise BadInput(f"the output {path} should end in {suffix}: call it {path.stem or 'output'}{suffix}")
+    if path.is_dir():
+        raise BadInput(f"the output {path} is a folder: give the name of a {suffix} file")
+    if path.exists() and path.resolve() in {other.resolve() for other in kept}:
+        raise BadInput(f"the output {path} is one of the inputs and would be lost: give it another name")
+
+
 def write_record(
-    folder: Path, verb: str, settings: Mapping[str, Any], inputs: Mapping[str, str], outputs: Iterable[Path]
+    folder: Path,
+    verb: str,
+    settings: Mapping[str, Any],
+    inputs: Mapping[str, str],
+    outputs: Iterable[Path],
+    name: str = RECORD_NAME,
 ) -> Path:
-    """Write `record.json` into the folder: verb, settings, inputs (name to digest), outputs and versions."""
+    """Write a record into the folder: verb, settings, inputs (name to digest), outputs and versions."""
     record = {
         "format": "morphspace-record",
         "version": 1,
@@ -70,6 +104,6 @@ def write_record(
         "outputs": {path.relative_to(folder).as_posix(): digest_of_file(path) for path in sorted(outputs)},
         "versions": versions(),
     }
-    path = folder / RECORD_NAME
+    path = folder / name
     write_text(path, json_text(record))
     return path

@@ -17,7 +17,7 @@ from morphspace.progress import Step, Steps
 from morphspace.storage import digest_of_file
 from morphspace.verbs.encode import write_loadings
 from morphspace.verbs.encoding import encoded_frames, framed_for, joined
-from morphspace.verbs.outcome import Outcome, check_folder, write_record
+from morphspace.verbs.outcome import Outcome, check_folder, picture_names, write_record
 
 
 @dataclass(frozen=True)
@@ -49,6 +49,7 @@ def run(request: ReconstructRequest) -> Steps[Outcome]:
     table: dict[str, list[object]] = {
         name: [] for name in ("frame", "psnr_db", "ssim", "warp_error_px", "fold_fraction")
     }
+    files_of = dict(zip(source.names, picture_names(source.names), strict=True))
     parts, written = [], []
     originals = source.clip.images()
     for encoded, original in zip(encoded_frames(model, source), originals, strict=True):
@@ -62,7 +63,7 @@ def run(request: ReconstructRequest) -> Steps[Outcome]:
             "placed": model.placed(image, original, to_original),
         }
         for kind, picture in pictures.items():
-            path = folders[kind] / f"{Path(name).stem}.png"
+            path = folders[kind] / files_of[name]
             write_image(path, picture)
             written.append(path)
         table["frame"].append(name)

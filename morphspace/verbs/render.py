@@ -17,10 +17,12 @@ from morphspace.files.video import write_video
 from morphspace.model import MorphModel, load_model
 from morphspace.progress import Step, Steps, in_order
 from morphspace.storage import digest_of_file
-from morphspace.verbs.outcome import Outcome, check_folder, write_record
+from morphspace.verbs.outcome import RECORD_NAME, Outcome, check_folder, picture_names, write_record
 
 FRAME_RATE_HZ = 25.0  # where neither the request nor the model tells it
-VIDEO_SUFFIXES = (".mp4", ".mkv", ".mov", ".avi")
+VIDEO_SUFFIXES = (".mp4", ".mkv")
+FURTHEST_SD = 1000.0  # beyond it a table holds a mistake, and colours leave what numbers can hold
+CLIPPED_SHARE = 0.001  # of the colour values; fewer are the overshoot of a sharp edge
 
 
 @dataclass(frozen=True)
@@ -44,28 +46,58 @@ def run(request: RenderRequest) -> Steps[Outcome]:
     notes = check_table(model, table, request.table)
     if not np.isfinite(request.gain):
         raise BadInput(f"a gain of {request.gain} cannot be used: give a number, 1 for the faces as they are")
-    loadings = table.loadings_sd * model.sd[: table.loadings_sd.shape[1]] * request.gain
+    loadings_sd = table.loadings_sd * request.gain
+    check_reach(loadings_sd, table.frame_names, request.table)
+    loadings = loadings_sd * model.sd[: loadings_sd.shape[1]]
     settings = {"gain": request.gain}
     inputs = {"model": digest_of_file(request.model), "table": digest_of_file(request.table)}
     is_video = request.output.suffix.lower() in VIDEO_SUFFIXES
     total = len(table.frame_names)
+    if total == 0:
+        raise BadInput(f"{request.table} has no rows: nothing to render")
+    if request.output.suffix and not is_video and not request.output.is_dir():
+        raise BadInput(
+            f"{request.output} ends in {request.output.suffix}: give a folder for images, or a video in "
+            f"{' or '.join(VIDEO_SUFFIXES)}"
+        )
     if is_video:
         rate = request.frame_rate_hz or model.provenance.get("frame_rate_hz") or FRAME_RATE_HZ
         check_folder(request.output.parent)
+        if request.output.is_dir():
+            raise BadInput(
+                f"{request.output} is a folder: give the name of a video, or a folder without suffix"
+            )
         clipped, written = yield from _video(model, loadings, request.output, rate)
+        name = f"{request.output.name}.{RECORD_NAME}"
+        record = write_record(
+            request.output.parent, "render", {**settings, "frame_rate_hz": rate}, inputs, written, name
+        )
+        written = (*written, record)
         lines = (f"{request.output}: {total} frames at {rate:g} Hz",)
     else:
         check_folder(request.output)
         clipped, written = yield from write_frames(model, loadings, table.frame_names, request.output)
         written = (*written, write_record(request.output, "render", settings, inputs, written))
         lines = (f"{request.output}: {total} images",)
-    if clipped:
+    if clipped > CLIPPED_SHARE * total * model.mask.size * 3:
         notes = (
             *notes,
             f"{clipped} colour values left the range of the file and were clipped: lower the gain",
         )
     document = {"output": str(request.output), "frames": total, "clipped_values": clipped}
     return Outcome(lines, document, notes, written)
+
+
+def check_reach(loadings_sd: LoadingTable, names: tuple[str, ...], path: Path) -> None:
+    """Raise `BadInput` where a loading lies further from the mean than any face can, naming its row and column."""
+    with np.errstate(invalid="ignore"):
+        beyond = np.argwhere(~(np.abs(loadings_sd) <= FURTHEST_SD))
+    if len(beyond):
+        row, column = beyond[0]
+        raise BadInput(
+            f"{path}: pc{column + 1:03d} of {names[row]} comes to {loadings_sd[row, column]:.3g} SD, at most "
+            f"{FURTHEST_SD:g} can be drawn: mend the table or lower the gain"
+        )
 
 
 def check_table(model: MorphModel, table: LoadingsTable, path: Path) -> tuple[str, ...]:
@@ -96,8 +128,8 @@ def write_frames(
 ) -> Steps[tuple[int, tuple[Path, ...]]]:
     """Render rows of loadings (n, k) into `folder/NAME.png`; give how many values were clipped, and the paths."""
     clipped, written = 0, []
-    for name, image in zip(names, rendered(model, loadings), strict=True):
-        path = folder / f"{Path(name).stem}.png"
+    for name, image in zip(picture_names(names), rendered(model, loadings), strict=True):
+        path = folder / name
         clipped += write_image(path, image)
         written.append(path)
         yield Step("render", len(written), len(names))
