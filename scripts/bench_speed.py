@@ -32,6 +32,13 @@ SEED = 0
 FIRST = 20  # components drawn while a slider moves
 WARP_WEIGHT = 0.05  # colour per px, as builds choose it
 WARP_AMOUNTS_PX = (1.0, 3.0, 8.0)  # largest displacement of the drawn fields
+DRAWN_ID = "d2a3000000000000"  # the form of an id; nothing else goes by it
+DRAWN_ORIGIN = {
+    "identity": "drawn",
+    "framing": {"source_size": [WIDTH, HEIGHT], "crop": None, "size": [WIDTH, HEIGHT]},
+    "reference": {"frame": "f0000", "reason": "drawn", "sha256": "0" * 64},
+    "versions": {},
+}
 OPENING_PX = 12.0  # of the drawn mouth, between two neighbouring rows
 
 
@@ -136,14 +143,14 @@ def drawn_model() -> MorphModel:
     components = rng.standard_normal((COMPONENTS, NUMBERS), np.float32) / np.float32(np.sqrt(NUMBERS))
     variances = 10.0 * 0.95 ** np.arange(COMPONENTS)
     texture = smooth_noise(rng, 3) * np.float32(0.2) + np.float32(0.5)
-    mean = Morph(drawn_field(1.0), texture, "drawn")
+    mean = Morph(drawn_field(1.0), texture, DRAWN_ID)
     still = np.zeros((HEIGHT, WIDTH, 2), np.float32)
     basis = Basis(components, variances, inner_product(mask, WARP_WEIGHT), 0.0)
     loadings = rng.standard_normal((FACES, COMPONENTS)) * np.sqrt(variances)
-    training = Loadings(loadings, tuple(f"f{i:04d}" for i in range(FACES)), "drawn")
+    training = Loadings(loadings, tuple(f"f{i:04d}" for i in range(FACES)), DRAWN_ID)
     return MorphModel(
         mean, basis, WARP_WEIGHT, mask, texture, still, None, None, training, "similarity", "deepflow",
-        {"identity": "drawn"},
+        DRAWN_ORIGIN,
     )  # fmt: skip
 
 
@@ -171,7 +178,7 @@ def render(rounds: int, work: Path) -> None:
     middle = flat.size // 2
     ones = np.ones(NUMBERS, np.float32)
     mean = model.mean_vector
-    morph = Morph(drawn_field(3.0), model.mean.texture, "drawn")
+    morph = Morph(drawn_field(3.0), model.mean.texture, DRAWN_ID)
     inverse = warp.invert(morph.displacement)
     image = morph.render()
     few = in_memory.truncate(FIRST)
