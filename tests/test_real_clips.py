@@ -38,6 +38,7 @@ def build_of(name: str, work: Path, indices: list[int] | None = None):
     provenance = {
         "identity": name,
         "framing": {"source_size": list(clip.size), "crop": None, "size": list(SIZE)},
+        "versions": {},
     }
     return result_of(build_steps(source, BuildSettings(components=40), work, provenance))
 
