@@ -103,8 +103,8 @@ def build_steps(
     """Build a model; a generator of steps that returns a `Build`.
 
     Parameters: source, the frames; settings; work_folder, where finished frames are kept; provenance, a JSON document
-    with at least `identity`, `framing` and `versions`, to which the build adds what it chose. Raises `BadInput` for fewer than three frames,
-    frames of different sizes, or a mask that does not fit.
+    with at least `identity`, `framing` and `versions`, to which the build adds what it chose. Raises `BadInput` for
+    fewer than three frames, frames of different sizes, or a mask that does not fit.
     """
     count = len(source.names)
     if count < MIN_FRAMES:
