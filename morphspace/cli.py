@@ -83,7 +83,7 @@ class OneLineErrors(click.Group):
                 click.echo(error.format_message())
                 sys.exit(2)
             words = error.ctx.command_path if error.ctx else "morphspace"
-            _fail(f"{error.format_message()} See {words} --help", 2)
+            _fail(f"{error.format_message().rstrip('.')}. See {words} --help", 2)
         except click.Abort:
             _fail("stopped", INTERRUPTED)
         sys.exit(code if isinstance(code, int) else 0)
