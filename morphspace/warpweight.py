@@ -24,7 +24,7 @@ from morphspace.rows import ColumnBlocks, RowSubset
 FACTORS = (1.0, 2.0, 4.0)  # times the weight that gives texture and warp equal variance
 HELD_OUT = 8  # frames at most
 LARGEST_SHARE = 0.5  # of the training frames, as components: near full rank every weight gives the same
-TRIED_FRAMES = 192  # more do not change the choice, and their Gram matrices would grow with the clip
+TRIED_FRAMES = 192  # so that their Gram matrices do not grow with the clip
 MIN_FRAMES = 4  # to leave one out
 STILL_PX2 = 1e-8  # mean square warp below which nothing moves, and any weight is as good
 STILL_COLOUR2 = 1e-12  # the same for texture

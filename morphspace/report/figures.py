@@ -17,6 +17,7 @@ from morphspace.files.colour import linear_of_srgb
 from morphspace.flow.baselines import LUMA
 from morphspace.measure import psnr_db, rms_px
 from morphspace.progress import Step, Steps, in_order
+from morphspace.reference import spread
 
 SHEET_FRAMES = 24  # on the contact sheet; enough to see the range of a clip at one glance
 SHEET_WIDTH_PX = 160  # of a small picture; a sheet of eight columns shows it at about this size
@@ -87,11 +88,6 @@ def measure_frames(build: Build) -> Steps[FrameFigures]:
         yield Step("report", len(table), count)
     psnr, folds, luminance, stops, contrast, rigid = np.array(table, np.float64).T
     return FrameFigures(psnr, folds, luminance, stops, lengths, rigid, contrast, tuple(sheet))
-
-
-def spread(count: int, most: int) -> list[int]:
-    """Give at most `most` indices of 0 to `count` - 1, evenly spread, the first and the last among them."""
-    return [int(i) for i in np.unique(np.linspace(0, count - 1, min(count, most)).round())]
 
 
 def small(image: Image) -> Image:

@@ -28,7 +28,7 @@ from morphspace.verbs.outcome import Outcome, check_file, check_folder, versions
 from morphspace.warp import apply_affine, inverse_affine
 
 DEFAULT_SIDE_PX = 400  # frames larger than this are scaled to cover 200 x 240 unless a size is given
-MOST_WEIGHT = 1000.0  # colour per px; from 10 on texture has no say at all
+MOST_WEIGHT = 1000.0  # colour per px; builds choose 0.02 to 0.1
 LEAST_FACEFRAME_PX = 4.0  # below it the points do not place a face
 DEFAULT_SIZE = (200, 240)  # Nagle section 2
 
