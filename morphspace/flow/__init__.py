@@ -1,13 +1,32 @@
-"""Dense flow: where each point of the reference is found in a frame.
+"""Dense flow: where each point of the reference is found in a frame, and how far to trust it there.
 
-Every estimator is a function of one type, `FlowFunction`, so that a build does not care which one it was given.
+Every estimator is a method of one type, `FlowMethod`, so that a build does not care which one it was given. A method is
+first given the reference, and gives a function from frames to flows: what depends on the reference alone is computed
+once for all the frames.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
 
-from morphspace.arrays import Displacement, Image
+from morphspace.arrays import Displacement, Image, Mask
 
-FlowFunction = Callable[[Image, Image, Displacement | None], Displacement]
-"""(reference, frame, start or None) -> u with reference(p) ~ frame(p + u(p)); images (h, w, 3), u (h, w, 2) px."""
+
+@dataclass(frozen=True, eq=False)
+class Flow:
+    """A field and its confidence.
+
+    `displacement` u (h, w, 2) px with reference(p) ~ frame(p + u(p)); `confidence` (h, w) in [0, 1], 0 where the frame
+    does not tell where the point went (hidden, or without texture).
+    """
+
+    displacement: Displacement
+    confidence: Mask
+
+
+FlowFunction = Callable[[Image, Displacement | None], Flow]
+"""(frame, start or None) -> the flow from the reference it was made for; frame (h, w, 3)."""
+
+FlowMethod = Callable[[Image], FlowFunction]
+"""reference (h, w, 3) -> the function that finds frames from it."""

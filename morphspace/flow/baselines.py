@@ -14,8 +14,7 @@ import cv2
 import numpy as np
 
 from morphspace.arrays import AnyArray, Displacement, Image
-from morphspace.errors import BadInput
-from morphspace.flow import FlowFunction
+from morphspace.flow import Flow, FlowFunction, FlowMethod
 
 SMOOTHING = (
     0.02  # of the image's width; takes out the folds; 1 % gave held-out faces within 0.1 dB on two clips
@@ -73,17 +72,14 @@ def smoothed(field: Displacement) -> Displacement:
     return out
 
 
-STOCK: dict[str, Callable[[Image, Image, Displacement | None], Displacement]] = {
-    "deepflow": deepflow,
-    "dis": dis,
-    "dis-medium": dis_medium,
-    "tvl1": tvl1,
-}
-DEFAULT = "deepflow"
+def stock(estimate: Callable[[Image, Image, Displacement | None], Displacement]) -> FlowMethod:
+    """Give a stock estimator as a method; it shares nothing between frames, and its confidence is 1 everywhere."""
 
+    def for_reference(reference: Image) -> FlowFunction:
+        def to_frame(frame: Image, start: Displacement | None = None) -> Flow:
+            field = estimate(reference, frame, start)
+            return Flow(field, np.ones(field.shape[:2], np.float32))
 
-def named(name: str) -> FlowFunction:
-    """Give the estimator of this name. Raises `BadInput` for a name that is not in `STOCK`."""
-    if name not in STOCK:
-        raise BadInput(f"there is no flow called {name!r}: choose one of {', '.join(sorted(STOCK))}")
-    return STOCK[name]
+        return to_frame
+
+    return for_reference

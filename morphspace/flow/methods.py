@@ -1,0 +1,21 @@
+"""The flow methods by name: what `--flow` and a model's file call them."""
+
+from __future__ import annotations
+
+from morphspace.errors import BadInput
+from morphspace.flow import FlowMethod, baselines
+
+METHODS: dict[str, FlowMethod] = {
+    "deepflow": baselines.stock(baselines.deepflow),
+    "dis": baselines.stock(baselines.dis),
+    "dis-medium": baselines.stock(baselines.dis_medium),
+    "tvl1": baselines.stock(baselines.tvl1),
+}
+DEFAULT = "deepflow"
+
+
+def named(name: str) -> FlowMethod:
+    """Give the method of this name. Raises `BadInput` for a name that is not in `METHODS`."""
+    if name not in METHODS:
+        raise BadInput(f"there is no flow called {name!r}: choose one of {', '.join(sorted(METHODS))}")
+    return METHODS[name]
