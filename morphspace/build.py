@@ -23,7 +23,7 @@ from morphspace.arrays import Affine, AnyArray, Displacement, Image, Mask
 from morphspace.basis import basis_from_gram, gram_matrix, mean_row
 from morphspace.errors import BadInput, UnreadableFile
 from morphspace.faces import FaceFrame, Frame, RegistrationKind
-from morphspace.flow import baselines
+from morphspace.flow import methods
 from morphspace.model import Loadings, MorphModel, inner_product, model_digest
 from morphspace.morph import Morph, invert_mean_shape, morph_of, parts_of, resource
 from morphspace.progress import Step, Steps, in_order
@@ -66,7 +66,7 @@ class BuildSettings:
 
     components: int = COMPONENTS
     registration: RegistrationKind = "similarity"
-    flow: str = baselines.DEFAULT
+    flow: str = methods.DEFAULT
     reference: int | None = None
     warp_weight: float | None = None
     mask: Mask | None = None
@@ -111,7 +111,7 @@ def build_steps(
         raise BadInput(f"{count} frames are too few for a model: give at least {MIN_FRAMES}")
     if settings.components < 1:
         raise BadInput(f"{settings.components} components were asked for: ask for at least 1")
-    baselines.named(settings.flow)  # a wrong name is told before any work is done
+    methods.named(settings.flow)  # a wrong name is told before any work is done
     work_folder.mkdir(parents=True, exist_ok=True)
     choice = yield from _choose_reference(source, settings)
     (reference,) = source.images([choice.index])
@@ -220,6 +220,8 @@ def _flow_pass(
     done = [_is_whole(file) for file in files]
     missing = [index for index, whole in enumerate(done) if not whole]
 
+    flow_to = methods.named(settings.flow)(reference)
+
     def make(item: tuple[int, Image]) -> None:
         index, image = item
         if index == reference_index:
@@ -228,7 +230,7 @@ def _flow_pass(
         else:
             registration = faces.register(reference, image, settings.registration, region)
             still = faces.aligned(image, "", registration).image
-            flow = baselines.named(settings.flow)(reference, still, None)
+            flow = flow_to(still, None).displacement
         arrays: dict[str, AnyArray] = {"image": still, "registration": registration, "flow": flow}
         write_container(files[index], arrays, {"format": FRAME_FORMAT})
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -25,7 +26,7 @@ from morphspace.faces import (
     register,
     rigid_region,
 )
-from morphspace.flow import FlowFunction, baselines
+from morphspace.flow import FlowFunction, methods
 from morphspace.modelfile import FORMAT, FORMAT_VERSION, content_digest, read_model_file
 from morphspace.morph import Morph, MorphOffset, morph_of, parts_of, resource, vector_of
 from morphspace.storage import digest_of_array, digest_of_json, write_container
@@ -108,6 +109,11 @@ class MorphModel:
         """The mean morph as a vector (5 h w,)."""
         return vector_of(self.mean.texture, self.mean.displacement)
 
+    @cached_property
+    def flow_from_reference(self) -> FlowFunction:
+        """The flow by the build's method, its reference prepared on first use and kept: the costly half is shared."""
+        return methods.named(self.flow)(self.reference)
+
     def align(self, image: Image, name: str = "image") -> Frame:
         """Bring an image (h, w, 3) of the model's size to the reference, as the build did with its frames."""
         self._check_size(image, name)
@@ -118,7 +124,7 @@ class MorphModel:
     def morph_of(self, image: Image, flow: FlowFunction | None = None) -> Morph:
         """Take an aligned image apart on the mean face: flow from the reference, re-sourced, then its texture."""
         self._check_size(image, "image")
-        field = (flow or baselines.named(self.flow))(self.reference, image, None)
+        field = (flow or self.flow_from_reference)(image, None).displacement
         return morph_of(image, resource(field, self.mean_inverse), self.mean.reference_id)
 
     def project(self, morph: Morph) -> LoadingVector:

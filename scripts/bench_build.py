@@ -17,7 +17,7 @@ from bench_memory import child
 from bench_tables import at_most, print_table, tell
 
 from morphspace import build, faces, progress, reference, storage
-from morphspace.flow import baselines
+from morphspace.flow import FlowMethod, methods
 from morphspace.report import figures
 from morphspace.verbs import build_model
 from morphspace.verbs.build_model import BuildModelRequest
@@ -50,6 +50,12 @@ class Stopwatch:
         return counted
 
 
+def watched_method(watch: Stopwatch, method: FlowMethod) -> FlowMethod:
+    """Give the same method, the time of preparing the reference and of each frame counted."""
+    prepare = watch.watched(method)
+    return lambda reference: watch.watched(prepare(reference))
+
+
 @dataclass(frozen=True, eq=False)
 class Timed:
     """A build's time (s): wall of each stage, and of the costly functions, over the threads they share."""
@@ -74,7 +80,7 @@ def stages(data: Path, rounds: int) -> None:
     """Print where the time of a build goes, and how much of it is not the flow."""
     source = clip_frames(data, BUILD_CLIP)
     print(
-        f"### Build of {BUILD_CLIP}, {len(source.names)} frames, {SIZE[0]} x {SIZE[1]}, {baselines.DEFAULT}\n"
+        f"### Build of {BUILD_CLIP}, {len(source.names)} frames, {SIZE[0]} x {SIZE[1]}, {methods.DEFAULT}\n"
     )
     print(
         f"Median of {rounds} runs of the verb build-model, from the files to the model and its report, the two ways "
@@ -126,7 +132,7 @@ def _timed_build(data: Path, workers: int) -> Timed:
     threads = functools.partial(progress.in_order, workers=workers)
     with (
         tempfile.TemporaryDirectory() as folder,
-        replaced_flow(baselines.DEFAULT, flow.watched(baselines.STOCK[baselines.DEFAULT])),
+        replaced_flow(methods.DEFAULT, watched_method(flow, methods.METHODS[methods.DEFAULT])),
         replaced(faces, "register", registration.watched(faces.register)),
         replaced(build, "write_container", writing.watched(storage.write_container)),
         replaced(build, "in_order", threads),

@@ -22,7 +22,7 @@ from morphspace.errors import BadInput
 from morphspace.faces import Frame, Framing
 from morphspace.files.clips import open_clip
 from morphspace.files.framed import FramedClip
-from morphspace.flow import FlowFunction, baselines
+from morphspace.flow import Flow, FlowFunction, FlowMethod, methods
 from morphspace.model import MorphModel
 from morphspace.progress import result_of
 from morphspace.storage import digest_of_array, digest_of_json, read_container, write_container
@@ -88,31 +88,39 @@ def trial(data: Path, name: str, work: Path) -> Trial:
 
 
 @contextlib.contextmanager
-def remembered_flow(folder: Path, name: str = baselines.DEFAULT) -> Iterator[None]:
+def remembered_flow(folder: Path, name: str = methods.DEFAULT) -> Iterator[None]:
     """Keep each flow field in `folder`, by what it was made from: sections share them, results stay the same."""
-    plain = baselines.STOCK[name]
+    plain = methods.METHODS[name]
     folder.mkdir(parents=True, exist_ok=True)
 
-    def flow(reference: Image, frame: Image, start: Displacement | None = None) -> Displacement:
-        key = digest_of_json([name, cv2.__version__, digest_of_array(reference), digest_of_array(frame)])
-        file = folder / f"{key[:32]}.flow"
-        if not file.exists():
-            write_container(file, {"flow": plain(reference, frame, start)}, {})
-        return np.array(read_container(file)[0]["flow"])
+    def remembering(reference: Image) -> FlowFunction:
+        to_frame = plain(reference)
+        common = [name, cv2.__version__, digest_of_array(reference)]
 
-    with replaced_flow(name, flow):
+        def remembered(frame: Image, start: Displacement | None = None) -> Flow:
+            begin = None if start is None else digest_of_array(start)
+            file = folder / f"{digest_of_json([*common, digest_of_array(frame), begin])[:32]}.flow"
+            if not file.exists():
+                found = to_frame(frame, start)
+                write_container(file, {"flow": found.displacement, "confidence": found.confidence}, {})
+            arrays = read_container(file)[0]
+            return Flow(np.array(arrays["flow"]), np.array(arrays["confidence"]))
+
+        return remembered
+
+    with replaced_flow(name, remembering):
         yield
 
 
 @contextlib.contextmanager
-def replaced_flow(name: str, flow: FlowFunction) -> Iterator[None]:
-    """Let `name` mean another function for a while."""
-    plain = baselines.STOCK[name]
-    baselines.STOCK[name] = flow
+def replaced_flow(name: str, method: FlowMethod) -> Iterator[None]:
+    """Let `name` mean another method for a while."""
+    plain = methods.METHODS[name]
+    methods.METHODS[name] = method
     try:
         yield
     finally:
-        baselines.STOCK[name] = plain
+        methods.METHODS[name] = plain
 
 
 @contextlib.contextmanager

@@ -12,7 +12,7 @@ from morphspace import warp
 from morphspace.build import BuildSettings, build_steps
 from morphspace.errors import BadInput
 from morphspace.faces import FaceFrame, face_mask, identity_affine, mouth_region, rigid_region
-from morphspace.flow import baselines
+from morphspace.flow import Flow, methods
 from morphspace.measure import psnr_db, rms_px
 from morphspace.progress import Step, in_order, result_of
 from morphspace.reference import mouth_contrast
@@ -42,21 +42,29 @@ def build(clip, work):
     return built(clip, work, replace(PLAIN, reference=None, warp_weight=None, registration="similarity"))
 
 
-def no_flow(reference, frame, start):
-    raise AssertionError("flow was computed again")
+def no_flow(reference):
+    def to_frame(frame, start):
+        raise AssertionError("flow was computed again")
+
+    return to_frame
 
 
 @pytest.fixture
 def counted(monkeypatch):
     """The number of flows computed by "dis", as a list that grows."""
     calls = []
-    original = baselines.STOCK["dis"]
+    original = methods.METHODS["dis"]
 
-    def counting(reference, frame, start):
-        calls.append(1)
-        return original(reference, frame, start)
+    def counting(reference):
+        to_frame = original(reference)
 
-    monkeypatch.setitem(baselines.STOCK, "dis", counting)
+        def counted_to_frame(frame, start):
+            calls.append(1)
+            return to_frame(frame, start)
+
+        return counted_to_frame
+
+    monkeypatch.setitem(methods.METHODS, "dis", counting)
     return calls
 
 
@@ -77,7 +85,7 @@ def test_the_loadings_are_the_projections_of_the_morphs(build):
     model = build.model
     for index in (0, 4):
         frame, flow = build.frame(index)
-        morph = model.morph_of(frame.image, lambda reference, image, start, flow=flow: flow)
+        morph = model.morph_of(frame.image, lambda image, start, flow=flow: Flow(flow, None))
         assert_allclose(model.project(morph), model.training.values[index], atol=1e-3 * model.sd[0])
 
 
@@ -224,20 +232,20 @@ def test_the_same_input_gives_the_same_bytes(clip, build, work, tmp_path):
 
 
 def test_the_default_flow_gives_the_same_bytes_each_time(clip, tmp_path):
-    settings = replace(PLAIN, flow=baselines.DEFAULT, registration="similarity")
+    settings = replace(PLAIN, flow=methods.DEFAULT, registration="similarity")
     one, other = (bytes_of(built(clip, tmp_path / name, settings), tmp_path) for name in ("a", "b"))
     assert one == other
 
 
 def test_a_second_build_computes_no_flow_and_gives_the_same_bytes(clip, tmp_path, monkeypatch):
     first = bytes_of(built(clip, tmp_path / "work"), tmp_path)
-    monkeypatch.setitem(baselines.STOCK, "dis", no_flow)
+    monkeypatch.setitem(methods.METHODS, "dis", no_flow)
     assert bytes_of(built(clip, tmp_path / "work"), tmp_path) == first
 
 
 def test_other_pca_settings_compute_no_flow(clip, tmp_path, monkeypatch):
     first = built(clip, tmp_path).model
-    monkeypatch.setitem(baselines.STOCK, "dis", no_flow)
+    monkeypatch.setitem(methods.METHODS, "dis", no_flow)
     mask = np.ones(first.mask.shape, np.float32)
     for change in ({"warp_weight": 0.2}, {"warp_weight": None}, {"components": 2}, {"mask": mask}):
         other = built(clip, tmp_path, replace(PLAIN, **change)).model
@@ -247,7 +255,7 @@ def test_other_pca_settings_compute_no_flow(clip, tmp_path, monkeypatch):
 @pytest.mark.parametrize("change", [{"reference": 3}, {"registration": "similarity"}])
 def test_what_the_flow_depends_on_computes_it_again(clip, tmp_path, monkeypatch, change):
     built(clip, tmp_path)
-    monkeypatch.setitem(baselines.STOCK, "dis", no_flow)
+    monkeypatch.setitem(methods.METHODS, "dis", no_flow)
     with pytest.raises(AssertionError, match="computed again"):
         built(clip, tmp_path, replace(PLAIN, **change))
 
@@ -274,19 +282,24 @@ def test_a_build_that_was_stopped_goes_on_to_the_same_bytes(clip, tmp_path, coun
 
 def test_a_build_whose_flow_failed_goes_on_to_the_same_bytes(clip, tmp_path, monkeypatch):
     whole = bytes_of(built(clip, tmp_path / "whole"), tmp_path)
-    original = baselines.STOCK["dis"]
+    original = methods.METHODS["dis"]
     left = [4]
 
-    def failing(reference, frame, start):
-        left[0] -= 1
-        if left[0] < 0:
-            raise KeyboardInterrupt
-        return original(reference, frame, start)
+    def failing(reference):
+        to_frame = original(reference)
 
-    monkeypatch.setitem(baselines.STOCK, "dis", failing)
+        def failing_to_frame(frame, start):
+            left[0] -= 1
+            if left[0] < 0:
+                raise KeyboardInterrupt
+            return to_frame(frame, start)
+
+        return failing_to_frame
+
+    monkeypatch.setitem(methods.METHODS, "dis", failing)
     with pytest.raises(KeyboardInterrupt):
         built(clip, tmp_path / "failed")
-    monkeypatch.setitem(baselines.STOCK, "dis", original)
+    monkeypatch.setitem(methods.METHODS, "dis", original)
     assert bytes_of(built(clip, tmp_path / "failed"), tmp_path) == whole
 
 
@@ -346,7 +359,7 @@ def test_frames_of_different_size_are_refused(clip, make_clip, picture, tmp_path
 
 
 def test_a_mask_of_the_wrong_size_is_refused(clip, tmp_path, monkeypatch):
-    monkeypatch.setitem(baselines.STOCK, "dis", no_flow)  # and that before any work
+    monkeypatch.setitem(methods.METHODS, "dis", no_flow)  # and that before any work
     with pytest.raises(BadInput, match=r"the mask is 72x60, the frames are 60x72"):
         built(clip, tmp_path, replace(PLAIN, mask=np.ones((60, 72), np.float32)))
 

@@ -10,7 +10,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 from morphspace import warp
 from morphspace.basis import Basis, fit_basis
 from morphspace.errors import ReferenceMismatch
-from morphspace.flow.baselines import DEFAULT, named
+from morphspace.flow.methods import DEFAULT, named
 from morphspace.model import load_model
 from morphspace.morph import Morph, deserialise, parts_of, serialise
 from morphspace.rows import RowArray
@@ -91,7 +91,7 @@ def test_sampling_a_constant_image_is_constant(wavy_field, value, seed, amplitud
 
 def test_flow_of_an_image_with_itself_is_zero(picture):
     image = picture(64, 64)
-    assert_allclose(named(DEFAULT)(image, image, None), 0, atol=1e-3)  # px
+    assert_allclose(named(DEFAULT)(image)(image, None).displacement, 0, atol=1e-3)  # px
 
 
 def test_save_and_load_are_bit_equal(model, tmp_path):

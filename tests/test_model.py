@@ -13,6 +13,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 from morphspace import warp
 from morphspace.errors import BadInput, ModelFileError, MorphspaceError, ReferenceMismatch, UnwritableFile
 from morphspace.faces import FaceFrame, Frame, identity_affine
+from morphspace.flow import Flow
 from morphspace.measure import psnr_db
 from morphspace.model import Loadings, inner_product, load_model
 from morphspace.modelfile import ARRAY_KINDS
@@ -105,7 +106,8 @@ def test_aligning_without_registration_leaves_the_image(model):
 
 def test_a_given_flow_is_used(model):
     field = np.full_like(model.mean.displacement, 1.0)
-    morph = model.morph_of(model.reference, lambda reference, image, start: field)
+    flow = Flow(field, np.ones(field.shape[:2], np.float32))
+    morph = model.morph_of(model.reference, lambda image, start: flow)
     assert_array_equal(morph.displacement, field)
 
 

@@ -19,7 +19,7 @@ from morphspace.files.clips import Clip, open_clip
 from morphspace.files.framed import FramedClip
 from morphspace.files.images import read_mask
 from morphspace.files.sidecars import MarkedFaceframe
-from morphspace.flow import baselines
+from morphspace.flow import methods
 from morphspace.model import MorphModel
 from morphspace.progress import Steps, result_of
 from morphspace.report import Case, advice_for, measure_frames, write_report
@@ -53,7 +53,7 @@ class BuildModelRequest:
     mask: Path | None = None
     reference: str | None = None
     registration: RegistrationKind = "similarity"
-    flow: str = baselines.DEFAULT
+    flow: str = methods.DEFAULT
     warp_weight: float | None = None
     work_folder: Path | None = None
     identity: str | None = None
@@ -158,7 +158,7 @@ def build_model(
     mask: Path | None = None,
     reference: str | None = None,
     registration: RegistrationKind = "similarity",
-    flow: str = baselines.DEFAULT,
+    flow: str = methods.DEFAULT,
     warp_weight: float | None = None,
     work_folder: Path | None = None,
     identity: str | None = None,

@@ -40,10 +40,12 @@ def framed_for(
 def encoded_frames(model: MorphModel, source: FramedClip) -> Iterator[EncodedFrame]:
     """Encode each frame of the clip, in order, a few at a time."""
 
+    flow = model.flow_from_reference  # prepared here, once, and not by each thread
+
     def encode(item: tuple[str, Image]) -> EncodedFrame:
         name, image = item
         frame = model.align(image, name)
-        morph = model.morph_of(frame.image)
+        morph = model.morph_of(frame.image, flow)
         return EncodedFrame(frame, morph, model.fit(frame, morph))
 
     indices = list(range(len(source.names)))
