@@ -1,8 +1,7 @@
 """From frames to a model: reference, registration, flow, mean shape, morphs, warp weight, PCA (Nagle section 2).
 
-The work runs in two passes over the frames and never holds more than a few of them. What is costly about a frame (its
-registration and flow) is kept in the work folder under a name made from everything it depends on: a build that was
-stopped goes on where it was, and a build with other PCA settings starts from there.
+The work runs in passes over the frames and never holds more than a few of them. What is costly about a frame, its
+registration and flow, is kept in the work folder (`workframes`).
 """
 
 from __future__ import annotations
@@ -13,60 +12,51 @@ import tempfile
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
-import cv2
 import numpy as np
 
 from morphspace import faces, warp
 from morphspace.arrays import Affine, AnyArray, Displacement, Image, Mask
 from morphspace.basis import basis_from_gram, gram_matrix, mean_row
-from morphspace.errors import BadInput, UnreadableFile
+from morphspace.errors import BadInput
 from morphspace.faces import FaceFrame, Frame, RegistrationKind
-from morphspace.flow import methods
+from morphspace.flow import Flow, methods, starts
+from morphspace.flow.starts import StartKind
 from morphspace.model import Loadings, MorphModel, inner_product, model_digest
 from morphspace.morph import Morph, invert_mean_shape, morph_of, parts_of, resource
 from morphspace.progress import Step, Steps, in_order
 from morphspace.reference import POOL, ReferenceChoice, mouth_contrast, search, shrunk, spread
 from morphspace.rows import RowFile
-from morphspace.storage import digest_of_array, digest_of_json, read_container, write_container
+from morphspace.storage import digest_of_array, digest_of_json
 from morphspace.warpweight import WeightTrial, best_trial, trial_weights
+from morphspace.workframes import (
+    FramePlan,
+    FrameSource,
+    frame_steps,
+    read_aligned,
+    read_work_frame,
+    same_size,
+)
 
 MIN_FRAMES = 3
 COMPONENTS = 50
-FRAME_FORMAT = "morphspace-work-frame-1"
-
-
-class FrameSource(Protocol):
-    """Frames at the model's size, in order: what `build_steps` builds from."""
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        """The name of each frame."""
-        ...
-
-    @property
-    def digests(self) -> tuple[str, ...]:
-        """A digest of what each frame was made from, its framing included."""
-        ...
-
-    def images(self, indices: list[int]) -> Iterator[Image]:
-        """Give the frames (h, w, 3) at these indices, which rise."""
-        ...
 
 
 @dataclass(frozen=True, eq=False)
 class BuildSettings:
     """How to build. `reference` a frame's index, None to choose; `warp_weight` colour per px, None to cross-validate.
 
-    `mask` (h, w) is drawn on the reference, None for an ellipse over the face. `faceframe` is marked on the frame
-    `faceframe_index`; unmoved, it also places the rigid part and
-    the mask, so the two frames should hold the head alike.
+    `start` "auto" tries hard frames again from a neighbour's field (`flow.starts`): meant for frames in the order of
+    time, harmless for others. `mask` (h, w) is drawn on the reference, None for an ellipse over the face. `faceframe`
+    is marked on the frame `faceframe_index`; unmoved, it also places the rigid part and the mask, so the two frames
+    should hold the head alike.
     """
 
     components: int = COMPONENTS
     registration: RegistrationKind = "similarity"
     flow: str = methods.DEFAULT
+    start: StartKind = "auto"
     reference: int | None = None
     warp_weight: float | None = None
     mask: Mask | None = None
@@ -78,8 +68,10 @@ class BuildSettings:
 class Build:
     """A finished build: the model, and what the report tells of each frame.
 
-    `registrations` (n, 2, 3); `fold_fractions` (n,) inside the mask; `motion_px` (n,) rms of the flow inside
-    the mask; `trials` of the warp weight; `work` for the aligned frames.
+    `registrations` (n, 2, 3) | inside the mask, (n,) each: `fold_fractions`, `motion_px` rms of the flow, `confidences`
+    mean of the flow's confidence | `confidence_map` (h, w) its mean over the frames, on the mean face |
+    `from_neighbour` (n,) bool, where the flow started from a neighbour's | `trials` of the warp weight | `frame_files`
+    of the work folder.
     """
 
     model: MorphModel
@@ -87,14 +79,17 @@ class Build:
     registrations: AnyArray
     fold_fractions: AnyArray
     motion_px: AnyArray
+    confidences: AnyArray
+    confidence_map: Mask
+    from_neighbour: AnyArray
     trials: tuple[WeightTrial, ...]
     warnings: tuple[str, ...]
     frame_files: tuple[Path, ...] = field(repr=False)
 
-    def frame(self, index: int) -> tuple[Frame, Displacement]:
+    def frame(self, index: int) -> tuple[Frame, Flow]:
         """Give aligned frame `index` and its flow from the reference, from the work folder."""
-        name = self.model.training.frame_names[index]
-        return _read_work_frame(self.frame_files[index], name)
+        work = read_work_frame(self.frame_files[index], self.model.training.frame_names[index])
+        return work.frame, work.flow
 
 
 def build_steps(
@@ -111,7 +106,8 @@ def build_steps(
         raise BadInput(f"{count} frames are too few for a model: give at least {MIN_FRAMES}")
     if settings.components < 1:
         raise BadInput(f"{settings.components} components were asked for: ask for at least 1")
-    methods.named(settings.flow)  # a wrong name is told before any work is done
+    methods.named(settings.flow)  # wrong names are told before any work is done
+    starts.check_start(settings.start)
     work_folder.mkdir(parents=True, exist_ok=True)
     choice = yield from _choose_reference(source, settings)
     (reference,) = source.images([choice.index])
@@ -121,22 +117,29 @@ def build_steps(
             f"the mask is {settings.mask.shape[1]}x{settings.mask.shape[0]}, the frames are {width}x{height}: "
             "draw it on the reference at the size of the frames"
         )
-    region = faces.rigid_region(height, width, settings.faceframe)
-    files, registrations, mean_field = yield from _flow_pass(
-        source, settings, reference, choice.index, region, work_folder
+    plan = FramePlan(
+        reference=reference,
+        reference_index=choice.index,
+        region=faces.rigid_region(height, width, settings.faceframe),
+        mask=faces.face_mask(height, width, settings.faceframe),
+        registration=settings.registration,
+        flow=settings.flow,
+        start=settings.start,
     )
+    files = yield from frame_steps(source, plan, work_folder)
+    registrations, mean_field = _mean_field(files)
     mean_inverse = invert_mean_shape(mean_field)
     faceframe = _faceframe_on_mean(settings, files, registrations, mean_field)
     mask = _mask_on_mean(settings, mean_inverse, faceframe)
     reference_id = digest_of_json([digest_of_array(reference), digest_of_array(mean_inverse)])[:16]
     with _row_file(work_folder, count, 5 * height * width) as rows:
-        folds, motion = yield from _morph_pass(rows, files, source.names, mean_inverse, mask, reference_id)
+        measured = yield from _morph_pass(rows, files, mean_inverse, mask, reference_id)
         mean = mean_row(rows)
         yield Step("components", 1, 4)
         trials: tuple[WeightTrial, ...] = ()
         weight = settings.warp_weight
         if weight is None:
-            trials = trial_weights(rows, mean, mask, settings.components, list(files), _aligned_image)
+            trials = trial_weights(rows, mean, mask, settings.components, list(files), read_aligned)
             weight = best_trial(trials)
         yield Step("components", 2, 4)
         product = inner_product(mask, weight)
@@ -149,6 +152,7 @@ def build_steps(
     full_provenance = {
         **provenance,
         "reference": {"frame": choice.name, "reason": choice.reason, "sha256": digest_of_array(reference)},
+        "flow_start": settings.start,
         "components_asked": settings.components,
         "warp_weight_trials": [[t.weight, t.psnr_db] for t in trials],
     }
@@ -167,7 +171,19 @@ def build_steps(
         provenance=full_provenance,
     )
     warnings = _warnings(source, choice, model)
-    return Build(model, choice, registrations, folds, motion, trials, warnings, tuple(files))
+    return Build(
+        model=model,
+        choice=choice,
+        registrations=registrations,
+        fold_fractions=measured.folds,
+        motion_px=measured.motion_px,
+        confidences=measured.confidences,
+        confidence_map=measured.confidence_map,
+        from_neighbour=measured.from_neighbour,
+        trials=trials,
+        warnings=warnings,
+        frame_files=tuple(files),
+    )
 
 
 def _choose_reference(source: FrameSource, settings: BuildSettings) -> Steps[ReferenceChoice]:
@@ -183,7 +199,7 @@ def _choose_reference(source: FrameSource, settings: BuildSettings) -> Steps[Ref
     small: list[Image] = []
     contrasts: list[float] = []
     mask: Mask = np.zeros((0, 0), np.float32)
-    for _, image in _same_size(source, indices):
+    for _, image in same_size(source, indices):
         height, width = image.shape[:2]
         contrasts.append(mouth_contrast(image, faces.mouth_region(height, width, settings.faceframe)))
         little, mask = shrunk(image, faces.face_mask(height, width, settings.faceframe))
@@ -198,87 +214,15 @@ def _choose_reference(source: FrameSource, settings: BuildSettings) -> Steps[Ref
     return ReferenceChoice(indices[place], source.names[indices[place]], reason)
 
 
-def _flow_pass(
-    source: FrameSource,
-    settings: BuildSettings,
-    reference: Image,
-    reference_index: int,
-    region: Mask,
-    work_folder: Path,
-) -> Steps[tuple[list[Path], AnyArray, Displacement]]:
-    """Register each frame and find its flow, or take both from the work folder; and average the flow."""
-    height, width = reference.shape[:2]
-    common = [
-        FRAME_FORMAT,
-        digest_of_array(reference),
-        digest_of_array(region),
-        settings.registration,
-        settings.flow,
-        cv2.__version__,
-    ]
-    files = [work_folder / f"{digest_of_json([*common, digest])[:32]}.frame" for digest in source.digests]
-    done = [_is_whole(file) for file in files]
-    missing = [index for index, whole in enumerate(done) if not whole]
-
-    flow_to = methods.named(settings.flow)(reference)
-
-    def make(item: tuple[int, Image]) -> None:
-        index, image = item
-        if index == reference_index:
-            registration, still = faces.identity_affine(), image
-            flow = np.zeros((height, width, 2), np.float32)
-        else:
-            registration = faces.register(reference, image, settings.registration, region)
-            still = faces.aligned(image, "", registration).image
-            flow = flow_to(still, None).displacement
-        arrays: dict[str, AnyArray] = {"image": still, "registration": registration, "flow": flow}
-        write_container(files[index], arrays, {"format": FRAME_FORMAT})
-
-    finished = len(files) - len(missing)
-    if finished:
-        yield Step("flow", finished, len(files))
-    for _ in in_order(make, _same_size(source, missing, reference.shape)):
-        finished += 1
-        yield Step("flow", finished, len(files))
-    total = np.zeros((height, width, 2))
+def _mean_field(files: list[Path]) -> tuple[AnyArray, Displacement]:
+    """Give the registration of each frame (n, 2, 3) and the mean of their flows (h, w, 2)."""
     registrations = np.empty((len(files), 2, 3))
+    total = np.zeros(())
     for index, file in enumerate(files):
-        frame, flow = _read_work_frame(file, "")
-        registrations[index] = frame.registration
-        total += flow
-    return files, registrations, (total / len(files)).astype(np.float32)
-
-
-def _same_size(
-    source: FrameSource, indices: list[int], shape: tuple[int, ...] | None = None
-) -> Iterator[tuple[int, Image]]:
-    """Give the frames with their indices; raise where one has another shape than it should, or than the first."""
-    for index, image in zip(indices, source.images(indices), strict=True):
-        shape = shape or image.shape
-        if image.shape != shape:
-            raise BadInput(
-                f"{source.names[index]} is {image.shape[1]}x{image.shape[0]}, the frames before are "
-                f"{shape[1]}x{shape[0]}: bring the frames to one size"
-            )
-        yield index, image
-
-
-def _is_whole(file: Path) -> bool:
-    try:
-        read_container(file)
-    except UnreadableFile:
-        return False
-    return True
-
-
-def _read_work_frame(file: Path, name: str) -> tuple[Frame, Displacement]:
-    arrays, _ = read_container(file)
-    frame = Frame(np.array(arrays["image"]), name, np.array(arrays["registration"]))
-    return frame, np.array(arrays["flow"])
-
-
-def _aligned_image(file: Path) -> Image:
-    return _read_work_frame(file, "")[0].image
+        work = read_work_frame(file)
+        registrations[index] = work.frame.registration
+        total = total + work.flow.displacement.astype(np.float64)
+    return registrations, (total / len(files)).astype(np.float32)
 
 
 @contextlib.contextmanager
@@ -295,31 +239,45 @@ def _row_file(work_folder: Path, rows: int, width: int) -> Iterator[RowFile]:
         path.unlink(missing_ok=True)
 
 
-def _morph_pass(
-    rows: RowFile,
-    files: list[Path],
-    names: tuple[str, ...],
-    mean_inverse: Displacement,
-    mask: Mask,
-    reference_id: str,
-) -> Steps[tuple[AnyArray, AnyArray]]:
-    """Take each frame apart on the mean face and write its row; give its folds and how much it moves."""
+@dataclass(frozen=True, eq=False)
+class _Measured:
+    """What `Build` tells of each frame's flow."""
 
-    def take_apart(item: tuple[int, Path]) -> tuple[float, float]:
+    folds: AnyArray
+    motion_px: AnyArray
+    confidences: AnyArray
+    confidence_map: Mask
+    from_neighbour: AnyArray
+
+
+def _morph_pass(
+    rows: RowFile, files: list[Path], mean_inverse: Displacement, mask: Mask, reference_id: str
+) -> Steps[_Measured]:
+    """Take each frame apart on the mean face and write its row; measure its flow there."""
+    total = max(float(mask.sum()), 1.0)
+
+    def take_apart(item: tuple[int, Path]) -> tuple[tuple[float, ...], Mask]:
         index, file = item
-        frame, flow = _read_work_frame(file, names[index])
-        morph = morph_of(frame.image, resource(flow, mean_inverse), reference_id)
+        work = read_work_frame(file)
+        flow = work.flow.displacement
+        morph = morph_of(work.frame.image, resource(flow, mean_inverse), reference_id)
         rows.write_row(index, morph.texture, morph.displacement)
         square = (flow * flow).sum(axis=2)
-        moved = float(np.sqrt((square * mask).sum() / max(float(mask.sum()), 1.0)))
-        return warp.fold_fraction(morph.displacement, mask), moved
+        moved = float(np.sqrt((square * mask).sum() / total))
+        confidence = warp.sample_field(work.flow.confidence, mean_inverse)
+        sure = float((confidence * mask).sum() / total)
+        folds = warp.fold_fraction(morph.displacement, mask)
+        return (folds, moved, sure, float(work.start == "neighbour")), confidence
 
     measured = []
-    for pair in in_order(take_apart, enumerate(files)):
-        measured.append(pair)
+    confidences = np.zeros(mask.shape)
+    for figures, confidence in in_order(take_apart, enumerate(files)):
+        measured.append(figures)
+        confidences += confidence
         yield Step("morphs", len(measured), len(files))
-    folds, motion = np.array(measured).T
-    return folds, motion
+    folds, motion_px, sure, near = np.array(measured).T
+    mean = (confidences / len(files)).astype(np.float32)
+    return _Measured(folds, motion_px, np.clip(sure, 0, 1), mean, near > 0)
 
 
 def _faceframe_on_mean(
@@ -330,7 +288,7 @@ def _faceframe_on_mean(
         return None
     points = settings.faceframe.points
     if settings.faceframe_index is not None:
-        _, flow = _read_work_frame(files[settings.faceframe_index], "")
+        flow = read_work_frame(files[settings.faceframe_index]).flow.displacement
         registration: Affine = registrations[settings.faceframe_index]
         points = warp.apply_affine(warp.inverse_affine(registration), points)
         points = warp.move_points(warp.invert(flow), points)

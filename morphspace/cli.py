@@ -18,6 +18,7 @@ import click
 
 from morphspace import __version__
 from morphspace.errors import BadInput, MorphspaceError
+from morphspace.flow.names import DEFAULT, NAMES, STOCK
 
 if TYPE_CHECKING:
     from morphspace.progress import Step, Steps
@@ -210,10 +211,17 @@ CROPPED = click.option("--crop", type=CROP, help="Cut this box out of every fram
 )
 @click.option(
     "--flow",
-    type=click.Choice(["deepflow", "dis", "dis-medium", "tvl1"]),
-    default="deepflow",
+    type=click.Choice(NAMES),
+    default=DEFAULT,
     show_default=True,
-    help="The flow estimator.",
+    help="The flow estimator, as in `morphspace flow`.",
+)
+@click.option(
+    "--start",
+    type=click.Choice(["auto", "none"]),
+    default="auto",
+    show_default=True,
+    help="Whether hard frames are tried again from a neighbour's flow.",
 )
 @click.option(
     "--warp-weight",
@@ -352,6 +360,45 @@ def sweep(model: Path, **options: Any) -> Steps[Outcome]:
     from morphspace.verbs import sweep as verb_module
 
     return verb_module.run(verb_module.SweepRequest(model=model, **options))
+
+
+@main.command("flow")
+@click.argument("pictures", nargs=-1, type=click.Path(path_type=Path), metavar="A B")
+@click.option(
+    "-o",
+    "--output",
+    type=click.Path(path_type=Path),
+    help="The field: .flo (Middlebury), or .exr with its confidence. With --bench: the table (.csv), optional.",
+)
+@click.option(
+    "--preset",
+    "presets",
+    type=click.Choice(NAMES),
+    multiple=True,
+    default=(DEFAULT,),
+    show_default=True,
+    help=f"The estimator; {', '.join(STOCK)} are stock ones, for comparison. With --bench: give several.",
+)
+@click.option(
+    "--both", is_flag=True, help="Find B to A as well (OUTPUT.back.flo), and the error there and back."
+)
+@click.option(
+    "--picture", type=click.Path(path_type=Path), help="Draw it: colours, warped grid, B warped back (.png)."
+)
+@click.option(
+    "--start", type=click.Path(path_type=Path), help="A field on A's grid to start from (.flo, .exr)."
+)
+@click.option(
+    "--bench",
+    type=click.Path(path_type=Path),
+    help="Instead of A B: a folder of scenes with true flow, in Middlebury's layout; prints errors and times.",
+)
+@verb
+def flow(**options: Any) -> Steps[Outcome]:
+    """Find where each point of picture A is found in picture B, in px on A's grid."""
+    from morphspace.verbs import flow as verb_module
+
+    return verb_module.run_words(**options)
 
 
 @main.command("make-actors")

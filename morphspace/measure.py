@@ -80,8 +80,8 @@ def endpoint_error(displacement: Displacement, truth: Displacement) -> AnyArray:
 def angular_error_deg(displacement: Displacement, truth: Displacement) -> AnyArray:
     """Give the angle between (u, v, 1) and the true (u, v, 1), (h, w) float64 degrees, of two fields (h, w, 2).
 
-    Barron, Fleet and Beauchemin (IJCV 12, 1994); Baker et al. 2011, section 4.1. The angle is taken from sine and cosine
-    together: the arc cosine alone loses small angles. Raises `SizeMismatch`.
+    Barron, Fleet and Beauchemin (IJCV 12, 1994); Baker et al. 2011, section 4.1. The angle is taken from sine and
+    cosine together: the arc cosine alone loses small angles. Raises `SizeMismatch`.
     """
     du, dv = np.moveaxis(_pair(displacement, truth), -1, 0)
     u, v = np.moveaxis(displacement.astype(np.float64), -1, 0)
@@ -123,7 +123,7 @@ def flow_errors(displacement: Displacement, truth: Displacement) -> FlowErrors:
 
 def known_flow(truth: Displacement) -> AnyArray:
     """Give where a true field (h, w, 2) is known, (h, w) bool: finite, and no component beyond `UNKNOWN_FLOW_PX`."""
-    return (np.abs(truth) <= UNKNOWN_FLOW_PX).all(axis=2)
+    return np.logical_and(*np.moveaxis(np.abs(truth) <= UNKNOWN_FLOW_PX, -1, 0))
 
 
 def _pair(displacement: Displacement, truth: Displacement) -> AnyArray:

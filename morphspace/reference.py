@@ -15,9 +15,9 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from morphspace import warp
 from morphspace.arrays import AnyArray, Image, Mask
 from morphspace.flow.baselines import LUMA, dis_medium, smoothed
+from morphspace.flow.starts import photometric_error
 from morphspace.progress import Step, Steps, in_order
 
 POOL = 120  # frames looked at, spread evenly over the clip
@@ -89,9 +89,7 @@ def _half_open(contrasts: AnyArray) -> float:
 
 
 def _missing(reference: Image, frame: Image, mask: Mask) -> float:
-    difference = warp.sample(frame, smoothed(dis_medium(reference, frame))) - reference
-    square = (difference * difference).mean(axis=2)
-    return float(np.sqrt((square * mask).sum() / max(float(mask.sum()), 1.0)))
+    return photometric_error(reference, frame, smoothed(dis_medium(reference, frame)), mask)
 
 
 def mouth_contrast(image: Image, region: Mask) -> float:

@@ -41,11 +41,15 @@ def sample(image: Image, displacement: Displacement) -> Image:
 def sample_at(image: Image, x: AnyArray, y: AnyArray) -> Image:
     """Read `image` (H, W, c) at the points (x, y) px, arrays of one shape (h, w), by cubic B-spline; see `sample`."""
     _check_positions(x, y)
-    coefficients = spline_coefficients(image)
-    height, width = image.shape[:2]
+    return sample_spline(spline_coefficients(image), x, y)
+
+
+def sample_spline(coefficients: Image, x: AnyArray, y: AnyArray) -> Image:
+    """Read the cubic B-spline of `coefficients` (H, W, c) or (H, W) at finite points (x, y) px, each (h, w)."""
+    height, width = coefficients.shape[:2]
     (left, right, from_left, from_right) = _spline_pairs(np.clip(x, 0, width - 1))
     (top, bottom, from_top, from_bottom) = _spline_pairs(np.clip(y, 0, height - 1))
-    if image.ndim == 3:
+    if coefficients.ndim == 3:
         from_left, from_right = from_left[..., None], from_right[..., None]
         from_top, from_bottom = from_top[..., None], from_bottom[..., None]
     upper = _linear(coefficients, left, top) * from_left

@@ -2,10 +2,11 @@
 
     python scripts/bench.py SECTION... --data DIR [--judge PYTHON] [--work DIR] [--clips NAME...] [--rounds N]
 
-DIR holds sequences/NAME/frames/*.jpg (or set MORPHSPACE_DATA); PYTHON is the interpreter of the landmark judge (see
-scripts/landmark_judge.py). Sections that need no data: pca, render, open, warp, help. Times stand beside a peer in the
-same run; the ratios carry over to another machine, the times do not. Models and flow are kept in the work folder, so
-that a second section, or a second run with the same --work, does not make them again: empty it when the code changes.
+DIR holds sequences/NAME/frames/*.jpg (or set MORPHSPACE_DATA), and for the section `flow` also flow/SCENE and
+stills_london; PYTHON is the interpreter of the landmark judge (see scripts/landmark_judge.py). Sections that need no
+data: pca, render, open, warp, help, video. Times stand beside a peer in the same run; the ratios carry over to another
+machine, the times do not. Models and flow are kept in the work folder, so that a second section, or a second run with
+the same --work, does not make them again: empty it when the code changes.
 """
 
 from __future__ import annotations
@@ -20,9 +21,11 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import bench_build
+import bench_flow
 import bench_landmarks
 import bench_quality
 import bench_speed
+import bench_video
 from bench_clips import CLIPS
 from bench_tables import print_table
 
@@ -36,8 +39,8 @@ PACKAGES = (
     "scikit-learn",
     "OpenImageIO",
 )
-DATA_SECTIONS = ("roundtrip", "heldout", "landmarks", "ceiling", "build", "memory")
-OTHER_SECTIONS = ("pca", "render", "open", "warp", "help")
+DATA_SECTIONS = ("roundtrip", "heldout", "landmarks", "ceiling", "build", "memory", "flow")
+OTHER_SECTIONS = ("pca", "render", "open", "warp", "help", "video")
 BUILD_ROUNDS = 3  # at most; a build takes minutes
 
 
@@ -81,6 +84,10 @@ def run(section: str, arguments: argparse.Namespace, work: Path) -> None:
         bench_speed.open_model(rounds, work)
     elif section == "warp":
         bench_speed.inversion(rounds)
+    elif section == "flow":
+        bench_flow.flow(data, rounds)
+    elif section == "video":
+        bench_video.video_form()
     else:
         bench_speed.help_time(rounds)
 

@@ -16,7 +16,7 @@ from bench_clips import SIZE, clip_frames, replaced, replaced_flow
 from bench_memory import child
 from bench_tables import at_most, print_table, tell
 
-from morphspace import build, faces, progress, reference, storage
+from morphspace import build, faces, progress, reference, storage, workframes
 from morphspace.flow import FlowMethod, methods
 from morphspace.report import figures
 from morphspace.verbs import build_model
@@ -26,7 +26,7 @@ BUILD_CLIP = "lp_d18"
 COUNTS = (100, 400, 1600)
 MEMORY_SIZE = (100, 120)  # (w, h) px; small, so that 1600 frames take minutes
 MEMORY_FLOW = "dis-medium"
-STAGES = ("reference", "flow", "morphs", "components", "report", "end")
+STAGES = ("reference", "flow", "starts", "morphs", "components", "report", "end")
 
 
 class Stopwatch:
@@ -115,6 +115,7 @@ def stages(data: Path, rounds: int) -> None:
         "threads",
         "reference s",
         "flow stage s",
+        "second starts s",
         "morphs s",
         "components s",
         "report s",
@@ -134,8 +135,9 @@ def _timed_build(data: Path, workers: int) -> Timed:
         tempfile.TemporaryDirectory() as folder,
         replaced_flow(methods.DEFAULT, watched_method(flow, methods.METHODS[methods.DEFAULT])),
         replaced(faces, "register", registration.watched(faces.register)),
-        replaced(build, "write_container", writing.watched(storage.write_container)),
+        replaced(workframes, "write_container", writing.watched(storage.write_container)),
         replaced(build, "in_order", threads),
+        replaced(workframes, "in_order", threads),
         replaced(reference, "in_order", threads),
         replaced(figures, "in_order", threads),
     ):

@@ -105,7 +105,7 @@ def open_task(path: str, rounds: int) -> dict[str, Any]:
 
 @dataclass(frozen=True, eq=False)
 class NoisyFrames:
-    """A clip repeated to any length, each frame with its own faint noise: a `morphspace.build.FrameSource`."""
+    """A clip repeated to any length, each frame with its own faint noise: a `morphspace.workframes.FrameSource`."""
 
     images_once: list[Any]
     count: int

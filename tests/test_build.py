@@ -12,13 +12,15 @@ from morphspace import warp
 from morphspace.build import BuildSettings, build_steps
 from morphspace.errors import BadInput
 from morphspace.faces import FaceFrame, face_mask, identity_affine, mouth_region, rigid_region
-from morphspace.flow import Flow, methods
+from morphspace.flow import methods
 from morphspace.measure import psnr_db, rms_px
 from morphspace.progress import Step, in_order, result_of
 from morphspace.reference import mouth_contrast
 from morphspace.storage import read_container
 
-PLAIN = BuildSettings(components=6, registration="none", flow="dis", reference=0, warp_weight=0.05)
+PLAIN = BuildSettings(
+    components=6, registration="none", flow="dis", start="none", reference=0, warp_weight=0.05
+)
 PROVENANCE = {"identity": "drawn", "licence": "CC0"}
 
 
@@ -85,7 +87,7 @@ def test_the_loadings_are_the_projections_of_the_morphs(build):
     model = build.model
     for index in (0, 4):
         frame, flow = build.frame(index)
-        morph = model.morph_of(frame.image, lambda image, start, flow=flow: Flow(flow, None))
+        morph = model.morph_of(frame.image, lambda image, start, flow=flow: flow)
         assert_allclose(model.project(morph), model.training.values[index], atol=1e-3 * model.sd[0])
 
 
@@ -116,7 +118,7 @@ def test_figures_of_each_frame_are_those_of_its_flow(build):
     for index in range(n):
         frame, flow = build.frame(index)
         assert_array_equal(frame.registration, build.registrations[index])
-        assert build.motion_px[index] == pytest.approx(rms_px(flow, mask), rel=1e-4)
+        assert build.motion_px[index] == pytest.approx(rms_px(flow.displacement, mask), rel=1e-4)
     assert build.motion_px[build.choice.index] == 0
     assert_array_equal(build.registrations[build.choice.index], identity_affine())
 
@@ -318,7 +320,7 @@ def test_only_work_frames_stay_in_the_work_folder(clip, tmp_path):
     assert set(tmp_path.iterdir()) == set(result.frame_files)
     for file in result.frame_files:
         arrays, _ = read_container(file)
-        assert set(arrays) == {"image", "registration", "flow"}
+        assert set(arrays) == {"image", "registration", "flow", "confidence"}
 
 
 # what cannot be a model

@@ -301,6 +301,7 @@ BROKEN_FOR_THE_SCHEMA = [
     ("provenance.framing.crop", [1, 2, 3]),
     ("provenance.inputs", {"frame_0001": "no digest"}),
     ("provenance.reference.sha256", ...),
+    ("provenance.flow_start", "sometimes"),
     ("provenance.components_asked", 0),
     ("provenance.warp_weight_trials", [[0.1]]),
     ("provenance.versions", {"numpy": 2}),

@@ -3,6 +3,7 @@
 import json
 import resource
 import struct
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -13,7 +14,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 from morphspace import warp
 from morphspace.errors import BadInput, ModelFileError, MorphspaceError, ReferenceMismatch, UnwritableFile
 from morphspace.faces import FaceFrame, Frame, identity_affine
-from morphspace.flow import Flow
+from morphspace.flow import Flow, methods
 from morphspace.measure import psnr_db
 from morphspace.model import Loadings, inner_product, load_model
 from morphspace.modelfile import ARRAY_KINDS
@@ -109,6 +110,23 @@ def test_a_given_flow_is_used(model):
     flow = Flow(field, np.ones(field.shape[:2], np.float32))
     morph = model.morph_of(model.reference, lambda image, start: flow)
     assert_array_equal(morph.displacement, field)
+
+
+def test_the_reference_is_prepared_once_a_model(model, monkeypatch):
+    model = replace(model)  # of its own: the shared one may have been used
+    prepared = []
+    plain = methods.METHODS[model.flow]
+
+    def counting(reference):
+        prepared.append(reference)
+        return plain(reference)
+
+    monkeypatch.setitem(methods.METHODS, model.flow, counting)
+    assert prepared == []  # not by opening a model
+    for amount in (0.2, 0.4):
+        model.encode(model.render([amount]))
+    assert len(prepared) == 1
+    assert prepared[0] is model.reference
 
 
 def test_encoding_an_aligned_frame_is_encoding_its_image(model):

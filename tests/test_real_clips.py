@@ -49,7 +49,7 @@ def test_a_real_frame_survives_being_taken_apart(name: str, tmp_path: Path):
     scores = []
     for index in range(0, len(build.frame_files), 2):
         frame, flow = build.frame(index)
-        displacement = resource(flow, build.model.mean_inverse)
+        displacement = resource(flow.displacement, build.model.mean_inverse)
         back = warp.render(warp.sample(frame.image, displacement), displacement)
         scores.append(psnr_db(back, frame.image, build.model.mask))
     assert np.median(scores) >= 46  # dB

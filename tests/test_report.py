@@ -30,7 +30,7 @@ from morphspace.report import (
 from morphspace.report.advice import FRAMES_FEW, head_path
 from morphspace.report.figures import SHEET_FRAMES, spread
 from morphspace.report.markup import element, text
-from morphspace.report.pictures import STRIP_WIDTH_PX, fold_chart, shrunk_morph
+from morphspace.report.pictures import STRIP_WIDTH_PX, confidence_chart, fold_chart, shrunk_morph
 from morphspace.report.plots import Mark, Plot, line_plot, round_ticks
 from morphspace.report.sections import explained
 from morphspace.storage import digest_of_array
@@ -100,7 +100,17 @@ def clean(build: Build) -> Case:
         sheet=(),
     )
     still = np.tile(np.eye(2, 3), (n, 1, 1))
-    return Case(replace(build, registrations=still, fold_fractions=np.zeros(n), warnings=()), figures)
+    sure = np.full(n, 0.9)
+    sure[0] = 0.8
+    calm = replace(
+        build,
+        registrations=still,
+        fold_fractions=np.zeros(n),
+        confidences=sure,
+        confidence_map=np.full_like(build.model.mask, 0.9),
+        warnings=(),
+    )
+    return Case(calm, figures)
 
 
 class Checker(HTMLParser):
@@ -323,6 +333,45 @@ def _reddish(picture: Image) -> np.ndarray:
     return picture[..., 0] > picture[..., 1] + 0.2
 
 
+def test_confidence_map_is_tinted_where_the_flow_is_unsure(build: Build) -> None:
+    model = build.model
+    face, mask = model.mean.render(), model.mask
+    sure = confidence_chart(face, np.ones_like(mask), mask)
+    height, width = mask.shape
+    assert sure.shape == (2 * height, 2 * width, 3)  # small faces are drawn at twice the size
+    assert np.ptp(sure, axis=2).max() < 1e-6  # grey all over
+    confidence = np.ones_like(mask)
+    confidence[: height // 2] = 0.25
+    tint = np.ptp(confidence_chart(face, confidence, mask), axis=2)[::2, ::2]
+    assert (tint[(mask > 0.99) & (confidence < 1)] > 0.2).all()
+    assert (tint[(mask == 0) | (confidence == 1)] < 1e-6).all()
+    half = np.ptp(confidence_chart(face, 0.5 * (1 + confidence), mask), axis=2)[::2, ::2]
+    assert (half <= tint + 1e-6).all()
+
+
+def test_the_flow_section_tells_confidence_folds_and_starts(clean: Case) -> None:
+    build = clean.build
+    n = len(clean.names)
+    near = np.zeros(n, bool)
+    near[[2, 5, 6]] = True
+    page = report_page(replace(build, from_neighbour=near), clean.figures)
+    words = " ".join(checked(page).words)
+    assert f"3 frames of {n} kept it" in words
+    assert f"{clean.names[0]}  0.80" in words  # the least sure, in the plot
+    assert "Mean confidence" in words
+    assert "Folds of the flow" in words
+    provenance = {**build.model.provenance, "flow_start": "none"}
+    plain = replace(build, model=replace(build.model, provenance=provenance))
+    assert "no second start was asked for" in report_page(plain, clean.figures)
+
+
+def test_a_flow_that_tells_no_confidence_gets_no_map_of_it(build: Build, figures: FrameFigures) -> None:
+    assert (build.confidences == 1).all()  # as stock flows have it
+    page = report_page(build, figures)
+    assert "does not tell how sure it is" in page
+    assert "Mean confidence" not in page
+
+
 def test_shrinking_a_morph_shrinks_its_picture() -> None:
     y, x = np.mgrid[:300, : 2 * STRIP_WIDTH_PX].astype(np.float32)
     waves = (0.5 + 0.3 * np.sin(x / 15) * np.cos(y / 20)).astype(np.float32)
@@ -372,6 +421,7 @@ def test_advice_names_only_the_fault_at_hand(clean: Case) -> None:
         "head_turned": Case(build, replace(figures, rigid_motion_px=np.where(one_bad, 5.0, 0.2))),
         "mouth_closed": Case(build, replace(figures, mouth_contrast=opened)),
         "folds": Case(build, replace(figures, fold_fractions=np.where(one_bad, 0.02, 0.0))),
+        "confidence": Case(replace(build, confidences=np.where(one_bad, 0.4, 0.8)), figures),
         "psnr": Case(build, replace(figures, psnr_db=np.where(one_bad, 25.0, 42.0))),
         "mask": Case(replace(build, model=replace(model, mask=np.ones_like(model.mask))), figures),
         "rank": Case(
@@ -398,7 +448,8 @@ def test_small_deviations_stay_unmentioned(clean: Case) -> None:
         psnr_db=38 + wave,
         mouth_contrast=0.1 + 0.1 * np.cos(np.arange(n) - clean.build.choice.index - 1.5),
     )
-    assert advice_for(Case(replace(clean.build, registrations=moved), figures, SIZE)) == ()
+    build = replace(clean.build, registrations=moved, confidences=np.full(n, 0.55))
+    assert advice_for(Case(build, figures, SIZE)) == ()
 
 
 def test_advice_tells_drift_from_flicker(clean: Case) -> None:
@@ -471,3 +522,16 @@ def test_plots_of_still_values_have_finite_places(values: list[float]) -> None:
     ]
     assert np.isfinite(numbers).all()
     checked(drawn)
+
+
+@pytest.mark.parametrize("values", [[0.0, 0.0], [0.1, 0.2], [3.0, 0.0]])
+def test_an_axis_does_not_go_below_the_lowest_a_quantity_can_be(values: list[float]) -> None:
+    plot = Plot("folds", "frame", "%", 1.0)
+    ticks = [_ticks(line_plot(replace(plot, lowest=lowest), values)) for lowest in (0.0, -np.inf)]
+    assert ticks[0][0] == 0
+    assert ticks[0][-1] >= max(1.0, *values)
+    assert (ticks[1][0] < 0) == (max(values) < 1)  # centred, where the values alone do not fill the range
+
+
+def _ticks(drawn: str) -> list[float]:
+    return sorted(float(found) for found in re.findall(r'class="tick" text-anchor="end">([-\d.]+)<', drawn))

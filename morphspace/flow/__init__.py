@@ -9,8 +9,10 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import TYPE_CHECKING, TypeAlias
 
-from morphspace.arrays import Displacement, Image, Mask
+if TYPE_CHECKING:  # the command line imports `flow.names` through here, before numpy
+    from morphspace.arrays import Displacement, Image, Mask
 
 
 @dataclass(frozen=True, eq=False)
@@ -25,8 +27,8 @@ class Flow:
     confidence: Mask
 
 
-FlowFunction = Callable[[Image, Displacement | None], Flow]
+FlowFunction: TypeAlias = "Callable[[Image, Displacement | None], Flow]"
 """(frame, start or None) -> the flow from the reference it was made for; frame (h, w, 3)."""
 
-FlowMethod = Callable[[Image], FlowFunction]
+FlowMethod: TypeAlias = "Callable[[Image], FlowFunction]"
 """reference (h, w, 3) -> the function that finds frames from it."""

@@ -77,7 +77,6 @@ def _kernel(order: int, sd_px: float, radius: int) -> AnyArray:
     change = weight * (powers.T @ np.linalg.solve((powers * weight) @ powers.T, missing))
     kernel: AnyArray = (sampled + change) / sd_px**order
     kernel = (kernel + (-1) ** order * kernel[::-1]) / 2  # exact parity: rounding would leave a bias
-    kernel.flags.writeable = False
     return kernel
 
 

@@ -28,6 +28,7 @@ MOUTH_REACH = 0.04  # of the mouth region's contrast over a clip; below it the m
 MOUTH_CLOSED = 0.12  # of that reach; on six clips two shut references lay below 0.05, the others above 0.14
 MOUTH_SLIGHTLY_OPEN = (0.2, 0.6)  # of that reach: what the paper asks for, some teeth and some dark
 FOLD_SHARE = 0.01  # of the cells inside the mask; folds this large are seen as smears
+CONFIDENCE_LOW = 0.5  # mean inside the mask; below it more of the face is filled in than was found
 PSNR_LOW_DB = 30.0  # below it a rebuilt frame can be told from the original at a glance
 PSNR_MANY = 0.25  # of the frames; when so many are poor it is the model, not the frames
 MASK_LEAST_SHARE = 0.05  # of the frame; a face in so small a part has too few pixels
@@ -212,6 +213,21 @@ def frames_fold(case: Case) -> Iterator[Advice]:
         )
 
 
+def flow_unsure(case: Case) -> Iterator[Advice]:
+    """Fire where the flow did not find most of the face in a frame."""
+    confidences = case.build.confidences
+    low = _worst_first(-confidences, confidences < CONFIDENCE_LOW)
+    if len(low):
+        yield Advice(
+            "confidence",
+            "mend",
+            f"In {_frames(len(low))} the flow's mean confidence is below {CONFIDENCE_LOW:g}, the least in "
+            f"{case.named(low)}: most of the face was filled in from around. Look at them: where a hand, hair, motion "
+            "blur or a turned head hides the face, leave them out; where many are so, the frames are too dark, blurred "
+            "or small.",
+        )
+
+
 def frames_come_back_poorly(case: Case) -> Iterator[Advice]:
     """Fire where frames drawn from all their loadings miss the original."""
     psnr = case.figures.psnr_db
@@ -330,6 +346,7 @@ RULES: tuple[Callable[[Case], Iterator[Advice]], ...] = (
     exposure_changed,
     mouth_closed,
     frames_fold,
+    flow_unsure,
     frames_come_back_poorly,
     mask_misses_the_face,
     fewer_components,

@@ -8,7 +8,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from morphspace.build import Build
-from morphspace.report import sections
+from morphspace.report import flow_section, sections
 from morphspace.report.advice import Case, advice_for
 from morphspace.report.figures import FrameFigures
 from morphspace.report.markup import Html, element, joined, text
@@ -24,6 +24,7 @@ LINKS = (
     ("components", "Components"),
     ("variance", "Variance"),
     ("frames", "Reconstruction"),
+    ("flow", "Flow"),
     ("folds", "Folds"),
     ("movement", "Movement and light"),
     ("weight", "Warp weight"),
@@ -51,7 +52,8 @@ def report_page(build: Build, figures: FrameFigures, *, source_size: tuple[int, 
         sections.components_section(model),
         sections.variance_section(model),
         sections.reconstruction_section(build, figures),
-        sections.folds_section(build, figures),
+        flow_section.flow_section(build),
+        flow_section.folds_section(build, figures),
         sections.movement_section(build, figures),
         sections.trials_section(build),
         settings_section(build),

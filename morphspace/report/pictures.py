@@ -31,6 +31,7 @@ FOLD_PALE = 0.55  # how far a fold map's face is moved towards white, so that th
 FOLD_RED = np.array([0.80, 0.05, 0.05], np.float32)
 FOLD_OUTSIDE = np.array([0.95, 0.62, 0.20], np.float32)  # folded, but outside the mask
 CHANGE_INK = np.array([0.10, 0.30, 0.42], np.float32)
+UNSURE_INK = np.array([0.45, 0.10, 0.55], np.float32)  # unlike any skin, and unlike the folds' red
 
 
 @dataclass(frozen=True, eq=False)
@@ -119,6 +120,15 @@ def change_chart(change: AnyArray, full: float) -> Image:
     """Give a map (h, w) of change as a picture: white is none, dark blue is `full` or more."""
     share = np.clip(change / max(full, 1e-6), 0, 1)[..., None].astype(np.float32)
     return (1 - share + share * CHANGE_INK).astype(np.float32)
+
+
+def confidence_chart(face: Image, confidence: Mask, mask: Mask) -> Image:
+    """Tint a pale grey face (h, w, 3) where the confidence (h, w) is low: full ink at 0, nothing outside the mask."""
+    luma = np.clip(face, 0, 1) @ LUMA
+    pale = (luma + FOLD_PALE * (1 - luma))[..., None]
+    share = ((1 - np.clip(confidence, 0, 1)) * mask)[..., None]
+    tinted = ((1 - share) * pale + share * UNSURE_INK).astype(np.float32)
+    return _zoomed(tinted, 2) if face.shape[1] < FOLD_SIDE_PX else tinted
 
 
 def fold_chart(morph: Morph, mask: Mask) -> Image:

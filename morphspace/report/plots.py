@@ -30,7 +30,10 @@ class Mark:
 
 @dataclass(frozen=True)
 class Plot:
-    """What a plot shows: what it tells in words, the axis titles, and the least range of its values."""
+    """What a plot shows: what it tells in words, the axis titles, and the least range of its values.
+
+    `lowest` is what the quantity cannot go below: the axis does not either.
+    """
 
     description: str
     x_title: str
@@ -38,6 +41,7 @@ class Plot:
     least_range: float
     size: tuple[int, int] = PLOT_SIZE
     first: int = 0
+    lowest: float = -math.inf
 
 
 def round_ticks(low: float, high: float, about: int) -> list[float]:
@@ -66,7 +70,9 @@ def line_plot(
     width, height = plot.size
     low, high = min(values), max(values)
     spare = max(plot.least_range - (high - low), 0.0) / 2
-    ticks = round_ticks(low - spare, high + spare, 5 if height > 200 else 4)
+    bottom = max(low - spare, plot.lowest)
+    top = max(high + spare, bottom + plot.least_range)
+    ticks = round_ticks(bottom, top, 5 if height > 200 else 4)
     floor_y = height - BOTTOM - LABEL_ROW_PX * len(worst)
     count = len(values)
 

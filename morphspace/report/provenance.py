@@ -13,7 +13,12 @@ DIGEST = re.compile(r"[0-9a-f]{17,}")
 DIGEST_SHOWN = 12  # characters; the whole stands in the title, shown on hovering
 LIST_SHOWN = 6  # entries; a longer list is folded away
 FIRST_KEYS = ("identity", "consent", "licence")  # what a reader must see first
-TOLD_ABOVE = ("reference", "components_asked", "warp_weight_trials")  # shown elsewhere on the page
+TOLD_ABOVE = (
+    "reference",
+    "flow_start",
+    "components_asked",
+    "warp_weight_trials",
+)  # shown elsewhere on the page
 NOT_RECORDED = "not recorded"
 
 
@@ -36,6 +41,7 @@ def settings_section(build: Build) -> Html:
         ("Reference picture, SHA-256", reference.get("sha256", NOT_RECORDED)),
         ("Registration", model.registration),
         ("Flow", model.flow),
+        ("Second start for hard frames", model.provenance.get("flow_start", NOT_RECORDED)),
         (
             "Components asked for, found",
             f"{model.provenance.get('components_asked', NOT_RECORDED)}, {model.rank}",

@@ -29,7 +29,6 @@ from morphspace.report.markup import (
 from morphspace.report.plots import SMALL_SIZE, Mark, Plot, line_plot, share_plot
 
 COMPONENTS_SHOWN = 8
-FOLD_MAPS = 4
 WORST_NAMED = 3  # in the plot
 WORST_LISTED = 8  # in the table
 REACHED_PERCENT = (90, 95, 99)
@@ -250,6 +249,7 @@ def reconstruction_section(build: Build, figures: FrameFigures) -> Html:
             text(f"{figures.psnr_db[i]:.1f}"),
             text(f"{100 * figures.fold_fractions[i]:.2f}"),
             text(f"{build.motion_px[i]:.1f}"),
+            text(f"{build.confidences[i]:.2f}"),
             text(f"{figures.exposure_stops[i]:+.2f}".replace("-", MINUS)),
             text(f"{figures.luminance[i]:.3f}"),
             text(f"{figures.mahalanobis[i]:.1f}"),
@@ -261,38 +261,13 @@ def reconstruction_section(build: Build, figures: FrameFigures) -> Html:
         "PSNR, dB",
         "Folds, %",
         "Motion, px rms",
+        "Flow confidence",
         "Exposure, stops",
         "Luma, 0 to 1",
         "Length, SD",
     ]
     listed = table("The frames that come back least well, and what else was measured on them.", columns, rows)
     return section("frames", "Reconstruction of each frame", figure(drawn, caption), listed)
-
-
-def folds_section(build: Build, figures: FrameFigures) -> Html:
-    """Show where the worst frames fold; nothing where none does."""
-    folds = figures.fold_fractions
-    order = [int(i) for i in np.argsort(-folds, kind="stable")[:FOLD_MAPS] if folds[i] > 0]
-    if not order:
-        return section("folds", "Folds", sentence("No frame's warp turns any of the face over."))
-    model = build.model
-    maps = []
-    for i in order:
-        name = model.training.frame_names[i]
-        chart = pictures.fold_chart(model.expand(model.training.values[i]), model.mask)
-        maps.append(
-            figure(
-                pictures.chart(chart, f"Fold map of {name}"),
-                element("strong", text(name)),
-                text(f" folds {100 * folds[i]:.2f} % of the face."),
-            )
-        )
-    note = sentence(
-        f"{int((folds > 0).sum())} of {len(folds)} frames fold somewhere in the mask. The worst are shown "
-        "as their texture on the mean face: the warp turns red cells over (determinant 0 or less), and the orange ones "
-        "too, but those lie outside the mask."
-    )
-    return section("folds", "Folds", note, element("div", *maps, class_="maps"))
 
 
 def movement_section(build: Build, figures: FrameFigures) -> Html:

@@ -51,7 +51,7 @@ border-top:1px solid var(--line);break-inside:avoid}
 .component p{font-size:.85rem;color:var(--soft);margin:.25rem 0 0;line-height:1.45}
 .strip{display:grid;grid-template-columns:repeat(6,1fr);gap:6px}
 .strip figcaption{text-align:center;font-size:.78rem;margin-top:.2rem}
-.maps{display:grid;grid-template-columns:repeat(auto-fill,minmax(230px,1fr));gap:20px}
+.maps{display:grid;grid-template-columns:repeat(auto-fill,minmax(230px,1fr));gap:20px;margin-top:1rem}
 .maps img{image-rendering:pixelated}
 .pair{display:grid;grid-template-columns:repeat(auto-fit,minmax(min(420px,100%),1fr));gap:22px 20px;margin-top:1rem}
 .plot{overflow-x:auto}.plot svg{display:block;width:100%;min-width:640px;height:auto}

@@ -17,6 +17,7 @@ from morphspace.synthetic.portrait import (
     draw_portrait_frame,
     portrait_actor,
 )
+from morphspace.synthetic.warped import FaceMarks, FlowPair, astronaut_face, flow_pair
 
 __all__ = [
     "ACTIONS",
@@ -27,15 +28,19 @@ __all__ = [
     "Capture",
     "ClipPiece",
     "Expression",
+    "FaceMarks",
+    "FlowPair",
     "Identity",
     "PortraitMarks",
     "Truth",
     "actor_of_photograph",
+    "astronaut_face",
     "capture_sequence",
     "draw_actor_frame",
     "draw_portrait_frame",
     "drawn_actor",
     "expression_sequence",
+    "flow_pair",
     "make_actors",
     "portrait_actor",
     "read_truth",

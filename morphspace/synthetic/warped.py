@@ -5,7 +5,7 @@ two of them, one above the line between the lips and one below it. The frame is 
 the point of the photograph that is seen there is found by Newton's method on the formula (to `SOLVED_PX`), on the
 upper sheet, else on the lower one, else the mouth is seen. The truth is the formula at each reference pixel, so it is
 exact, also beside the line; what remains between reference(p) and frame(p + u(p)) is sampling and rounding alone. Both
-pictures are sampled from the photograph twice as fine as asked for and averaged, and rounded to 8 bits as a camera's are.
+pictures are sampled from the photograph twice as fine as asked for, averaged, and rounded to 8 bits as a camera's are.
 """
 
 from __future__ import annotations
@@ -22,6 +22,7 @@ import skimage.data
 from morphspace import warp
 from morphspace.arrays import AnyArray, Displacement, Image, Points
 from morphspace.errors import BadInput
+from morphspace.measure import stays_inside
 
 WarpKind = Literal["smooth", "mouth", "lit"]
 WARP_KINDS: tuple[WarpKind, ...] = ("smooth", "mouth", "lit")
@@ -31,7 +32,7 @@ SOLVED_PX = 1e-5  # far below what float32 positions hold
 NEWTON_STEPS = 60
 LONGEST_STEP_PX = 8.0
 LEAST_DETERMINANT = 0.3  # of a field that is taken: nowhere pressed to less than this share of its area
-MOST_DRAWS = 500
+MOST_DRAWS = 60  # eight were enough for any picture in use
 
 # Where a face moves: place from the middle between the eyes, right in eye-to-eye distances and down in eye-to-mouth
 # distances; width (sd) as a share of the picture; how far it moves against the others.
@@ -50,11 +51,12 @@ BUMPS = (
     (-0.80, 1.30, 0.090, 0.8),  # jaw
     (0.80, 1.30, 0.090, 0.8),
 )
-OPENING = 2.0  # the lower lip's drop against the largest bump, before all is scaled to the peak
+LINE_POINTS = 4  # a cubic goes through them
+OPENING = 0.6  # the lower lip's drop against the largest bump, before all is scaled to the peak
 LIFT = 0.2  # the upper lip's rise against the lower lip's drop
 JAW_SD, LIP_SD = 0.20, 0.06  # shares of the picture: how far below and above the line the skin goes along
-GAIN_RANGE = (0.8, 1.25)
-RAMP = 0.2  # brighter on one side, darker on the other by this share
+GAIN_RANGE = (0.9, 1.11)
+RAMP = 0.1  # brighter on one side, darker on the other by this share
 NOISE_SD = 2.0 / 255.0
 
 
@@ -101,36 +103,37 @@ def flow_pair(
     """Make a pair of pictures (size, size, 3) from a photograph (H, W, 3), with the exact field between them.
 
     The longest displacement on the reference's grid is `peak_px` (0 gives the same picture twice). `kind`: "smooth"
-    moves the skin; "mouth" parts the lips as well, with teeth and tongue behind them; "lit" is "smooth" with the
-    frame's light changed: a gain in `GAIN_RANGE`, a linear ramp of +-`RAMP` across the picture and noise of sd
-    `NOISE_SD`, cut off at black and white. The same arguments give the same bytes. Raises `BadInput` for an unknown kind, a
-    negative peak, and a peak for which no field without folds is found. Ours.
+    moves the skin; "mouth" parts the lips as well, with teeth and tongue behind them; "lit" moves the skin as "smooth"
+    does, and changes the frame's light: a gain in `GAIN_RANGE`, a linear ramp of +-`RAMP` across the picture and noise
+    of sd `NOISE_SD`, cut off at black and white. The same arguments give the same bytes. Raises `BadInput` for an
+    unknown kind, a negative peak, a mouth of too few points, and a peak for which no field without folds is found.
+    Ours.
     """
     if kind not in WARP_KINDS:
         raise BadInput(f"there is no warp of kind {kind!r}: choose one of {', '.join(WARP_KINDS)}")
     if not peak_px >= 0:
         raise BadInput(f"a peak of {peak_px} px is no length: give 0 or more")
-    rng = np.random.default_rng([seed, WARP_KINDS.index(kind)])
+    if len(marks.mouth) < LINE_POINTS or np.any(np.diff(marks.mouth[:, 0]) <= 0):
+        raise BadInput(f"the line between the lips needs {LINE_POINTS} points or more, from left to right")
+    rng = np.random.default_rng([seed, int(kind == "mouth")])
     camera = _Camera.of(photograph, marks, size)
     field, truth = _drawn_field(camera, marks, kind == "mouth", peak_px, rng)
     fine_x, fine_y = _grid(size * FINE)
     fine_x, fine_y = (fine_x + 0.5) / FINE - 0.5, (fine_y + 0.5) / FINE - 0.5
     frame = _frame(camera, field, fine_x, fine_y, rng)
     if kind == "lit":
-        frame = _relit(frame, rng)
-    x, y = _grid(size)
-    there_x, there_y = x + truth[..., 0], y + truth[..., 1]
-    inside = (there_x >= 0) & (there_x <= size - 1) & (there_y >= 0) & (there_y <= size - 1)
+        frame = _relit(frame, np.random.default_rng([seed, 2]))  # the skin moves as for "smooth"
+    truth = truth.astype(np.float32)
     return FlowPair(
         name=name,
         reference=_rounded(_averaged(camera.look(fine_x, fine_y))),
         frame=_rounded(frame),
-        truth=truth.astype(np.float32),
-        visible=inside,
+        truth=truth,
+        visible=stays_inside(truth, size, size),
     )
 
 
-def astronaut() -> tuple[Image, FaceMarks]:
+def astronaut_face() -> tuple[Image, FaceMarks]:
     """Give the photograph that comes with scikit-image (Eileen Collins; NASA, public domain), and its marks."""
     mouth = [(203.5, 140.5), (212.0, 144.0), (220.0, 146.0), (228.0, 146.0), (237.0, 144.0), (245.5, 140.5)]
     photograph = skimage.data.astronaut().astype(np.float32) / 255
@@ -237,7 +240,7 @@ class _Field:
         return u, slope
 
     def on_grid(self) -> tuple[AnyArray, float]:
-        """Give u (h, w, 2) on the picture's grid and the least determinant of the two sheets, continuations included."""
+        """Give u (h, w, 2) on the picture's grid, and the least determinant of both sheets with continuations."""
         x, y = _grid(self.size)
         upper, upper_slope = self.at(x, y, "upper")
         lower, lower_slope = self.at(x, y, "lower")
@@ -245,24 +248,20 @@ class _Field:
         return np.moveaxis(np.where(self.is_lower(x, y), lower, upper), 0, -1), least
 
     def source(self, x: AnyArray, y: AnyArray, sheet: Literal["upper", "lower"]) -> tuple[AnyArray, AnyArray]:
-        """Find the points p of the sheet with p + u(p) = (x, y), by Newton's method; not a number where it fails."""
+        """Find the points p of the sheet with p + u(p) = (x, y), by Newton's method with bounded steps."""
         px, py = x.copy(), y.copy()
-        left = np.inf
         for _ in range(NEWTON_STEPS):
             u, slope = self.at(px, py, sheet)
             miss_x, miss_y = px + u[0] - x, py + u[1] - y
-            miss = np.hypot(miss_x, miss_y)
-            left = float(miss.max(initial=0))
-            if left < SOLVED_PX:
-                break
+            if np.hypot(miss_x, miss_y).max(initial=0) < SOLVED_PX:
+                return px, py
             a, b, c, d = 1 + slope[0, 0], slope[0, 1], slope[1, 0], 1 + slope[1, 1]
             area = np.maximum(a * d - b * c, 0.1)
             step_x, step_y = (d * miss_x - b * miss_y) / area, (a * miss_y - c * miss_x) / area
             short = np.minimum(1, LONGEST_STEP_PX / np.maximum(np.hypot(step_x, step_y), 1e-12))
             px -= step_x * short
             py -= step_y * short
-        solved = miss < SOLVED_PX
-        return np.where(solved, px, np.nan), np.where(solved, py, np.nan)
+        raise BadInput("this field could not be inverted: ask for a smaller peak or another seed")
 
 
 def _drawn_field(
@@ -278,8 +277,15 @@ def _drawn_field(
     middle, half_width = (mouth[0, 0] + mouth[-1, 0]) / 2, (mouth[-1, 0] - mouth[0, 0]) / 2
     line = np.polyfit((mouth[:, 0] - middle) / half_width, mouth[:, 1], 3)
     plain = _Field(
-        between + table[:, :2] * unit, table[:, 2] * size, np.zeros((len(table), 2)), line, middle, half_width, 0.0, size
-    )  # fmt: skip
+        centres=between + table[:, :2] * unit,
+        sds=table[:, 2] * size,
+        amounts=np.zeros((len(table), 2)),
+        line=line,
+        middle=middle,
+        half_width=half_width,
+        opening=0.0,
+        size=size,
+    )
     for _ in range(MOST_DRAWS):
         amounts = rng.standard_normal((len(table), 2)) * table[:, 3:]
         field = replace(plain, amounts=amounts)
@@ -319,7 +325,9 @@ def _cover(skin_px: AnyArray) -> AnyArray:
     return np.clip(skin_px * FINE + 0.5, 0, 1)
 
 
-def _mouth_inside(across: AnyArray, from_top: AnyArray, from_bottom: AnyArray, rng: np.random.Generator) -> AnyArray:
+def _mouth_inside(
+    across: AnyArray, from_top: AnyArray, from_bottom: AnyArray, rng: np.random.Generator
+) -> AnyArray:
     """Paint the inside of a mouth at points given by their place from the upper and the lower lip, (n, 3).
 
     `across` is -1 and 1 at the corners, the distances are shares of the picture.

@@ -20,6 +20,7 @@ from morphspace.files.framed import FramedClip
 from morphspace.files.images import read_mask
 from morphspace.files.sidecars import MarkedFaceframe
 from morphspace.flow import methods
+from morphspace.flow.starts import StartKind
 from morphspace.model import MorphModel
 from morphspace.progress import Steps, result_of
 from morphspace.report import Case, advice_for, measure_frames, write_report
@@ -40,8 +41,9 @@ class BuildModelRequest:
     `sources` a folder, a glob, a video or files; `output` the .morph file, None for one named after the clip;
     `report` the page, None for one beside the model; `components` the most to keep; `size` (w, h) px or None for the
     frames' own (200 x 240 where they are larger than 400 px); `crop` (x, y, w, h) px; `mask` a grey picture of the
-    reference's size, white where the face is; `reference` a frame's name or file, None to choose; `warp_weight` colour
-    per px, None to cross-validate; `work_folder` kept when given, else beside the output and removed at the end.
+    reference's size, white where the face is; `reference` a frame's name or file, None to choose; `start` "auto" tries
+    hard frames again from a neighbour's flow, "none" does not; `warp_weight` colour per px, None to cross-validate;
+    `work_folder` kept when given, else beside the output and removed at the end.
     """
 
     sources: tuple[str, ...]
@@ -54,6 +56,7 @@ class BuildModelRequest:
     reference: str | None = None
     registration: RegistrationKind = "similarity"
     flow: str = methods.DEFAULT
+    start: StartKind = "auto"
     warp_weight: float | None = None
     work_folder: Path | None = None
     identity: str | None = None
@@ -83,6 +86,8 @@ def run(request: BuildModelRequest) -> Steps[Outcome]:
         f"reference {build.choice.name}: {build.choice.reason}",
         f"training frames come back at {np.median(psnr):.1f} dB (median), {np.percentile(psnr, 10):.1f} dB (10th "
         f"percentile); {build.fold_fractions.mean():.2%} of the warp folds",
+        f"flow {model.flow}: confidence {build.confidences.mean():.2f} (mean), {build.confidences.min():.2f} (lowest); "
+        f"{int(build.from_neighbour.sum())} frames kept from a neighbour's start",
         f"report: {report}",
     )
     document = {
@@ -99,6 +104,9 @@ def run(request: BuildModelRequest) -> Steps[Outcome]:
         "psnr_db_median": float(np.median(psnr)),
         "psnr_db_10th_percentile": float(np.percentile(psnr, 10)),
         "fold_fraction": float(build.fold_fractions.mean()),
+        "flow_confidence_mean": float(build.confidences.mean()),
+        "flow_confidence_lowest": float(build.confidences.min()),
+        "neighbour_starts": int(build.from_neighbour.sum()),
     }
     case = Case(build, figures, source_size(clip.size, request.crop))
     advice = tuple(item.text for item in advice_for(case) if item.level == "mend")
@@ -138,6 +146,7 @@ def build_clip(
         components=request.components,
         registration=request.registration,
         flow=request.flow,
+        start=request.start,
         reference=None if request.reference is None else _index_of(request.reference, clip),
         warp_weight=request.warp_weight,
         mask=mask,
@@ -159,6 +168,7 @@ def build_model(
     reference: str | None = None,
     registration: RegistrationKind = "similarity",
     flow: str = methods.DEFAULT,
+    start: StartKind = "auto",
     warp_weight: float | None = None,
     work_folder: Path | None = None,
     identity: str | None = None,
@@ -178,6 +188,7 @@ def build_model(
         reference=reference,
         registration=registration,
         flow=flow,
+        start=start,
         warp_weight=warp_weight,
         identity=identity,
     )

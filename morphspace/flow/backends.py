@@ -1,0 +1,148 @@
+"""What the registration form asks of a machine: four primitives and one fused step, on OpenCV.
+
+The algorithm in `multiscale` is written once on these and on arithmetic that numpy and torch share, so it runs on the
+CPU through OpenCV, whose separable filter is many times faster there than torch's convolution, and on a GPU through
+torch (`torch_backend`). Planes are (c, h, w) float32 throughout.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from types import ModuleType
+from typing import Any, Protocol
+
+import cv2
+import numpy as np
+
+from morphspace.arrays import AnyArray
+from morphspace.flow.filters import BORDER
+from morphspace.warp import sample_spline, spline_coefficients
+
+Planes = Any
+"""(c, h, w) float32, a numpy array or a torch tensor, as the backend has it."""
+
+MEDIAN_PX = 5  # a side; OpenCV's largest for float32
+
+
+class Backend(Protocol):
+    """The primitives. `xp` is the module with the arithmetic, numpy or torch."""
+
+    xp: ModuleType
+
+    def planes(self, array: AnyArray) -> Planes:
+        """Bring a numpy array to the backend as float32."""
+        ...
+
+    def numpy(self, planes: Planes) -> AnyArray:
+        """Bring planes back."""
+        ...
+
+    def filtered(self, planes: Planes, across: AnyArray, down: AnyArray) -> Planes:
+        """Correlate each plane with a separable kernel, mirrored about the outermost pixels at the edge."""
+        ...
+
+    def sampler(self, planes: Planes) -> Callable[[Planes, Planes], Planes]:
+        """Give the function that reads the planes at (x, y) px, each (h, w), by cubic B-spline, clamped at the edge."""
+        ...
+
+    def looked_up(self, planes: Planes, x: Planes, y: Planes) -> Planes:
+        """Read the planes at (x, y) px linearly, clamped at the edge."""
+        ...
+
+    def resized(self, planes: Planes, height: int, width: int) -> Planes:
+        """Scale the planes bicubically; smooth before scaling down."""
+        ...
+
+    def averaged(self, planes: Planes, height: int, width: int) -> Planes:
+        """Scale the planes down by averaging over the area each new pixel covers."""
+        ...
+
+    def median(self, planes: Planes) -> Planes:
+        """Take the median of `MEDIAN_PX` x `MEDIAN_PX` pixels, the edge repeated."""
+        ...
+
+    def smoother(self, guide: Planes, strength: float, edge_codes: float) -> Callable[[Planes], Planes]:
+        """Give the edge-aware smoother of planes along a guide (1 or 3 planes, codes 0 to 255).
+
+        It is the fast global smoother (Min et al., IEEE TIP 2014): least squares with weights
+        `strength` exp(-|step of the guide| / `edge_codes`) between neighbours, one axis after the other, three times.
+        """
+        ...
+
+    def add_product(self, total: Planes, a: Planes, b: Planes) -> None:
+        """Add a * b to `total` (h, w) in place, summed over the first axis where a and b have three."""
+        ...
+
+
+class OpenCVBackend:
+    """The primitives on numpy arrays and OpenCV; for the CPU."""
+
+    xp: ModuleType = np
+
+    def planes(self, array: AnyArray) -> AnyArray:
+        return np.ascontiguousarray(array, np.float32)
+
+    def numpy(self, planes: AnyArray) -> AnyArray:
+        return planes
+
+    def filtered(self, planes: AnyArray, across: AnyArray, down: AnyArray) -> AnyArray:
+        out = np.empty_like(planes)
+        for plane, target in zip(planes, out, strict=True):
+            cv2.sepFilter2D(plane, cv2.CV_32F, across, down, dst=target, borderType=BORDER)
+        return out
+
+    def sampler(self, planes: AnyArray) -> Callable[[AnyArray, AnyArray], AnyArray]:
+        interleaved = np.ascontiguousarray(planes.transpose(1, 2, 0))
+        coefficients = spline_coefficients(interleaved[..., 0] if len(planes) == 1 else interleaved)
+
+        def read(x: AnyArray, y: AnyArray) -> AnyArray:
+            image = sample_spline(coefficients, x, y)
+            if image.ndim == 2:
+                return image[None]
+            return np.ascontiguousarray(image.transpose(2, 0, 1))
+
+        return read
+
+    def looked_up(self, planes: AnyArray, x: AnyArray, y: AnyArray) -> AnyArray:
+        out = np.empty((len(planes), *x.shape), np.float32)
+        for plane, target in zip(planes, out, strict=True):
+            cv2.remap(plane, x, y, cv2.INTER_LINEAR, dst=target, borderMode=cv2.BORDER_REPLICATE)
+        return out
+
+    def resized(self, planes: AnyArray, height: int, width: int) -> AnyArray:
+        out = np.empty((len(planes), height, width), np.float32)
+        for plane, target in zip(planes, out, strict=True):
+            cv2.resize(plane, (width, height), dst=target, interpolation=cv2.INTER_CUBIC)
+        return out
+
+    def averaged(self, planes: AnyArray, height: int, width: int) -> AnyArray:
+        out = np.empty((len(planes), height, width), np.float32)
+        for plane, target in zip(planes, out, strict=True):
+            cv2.resize(plane, (width, height), dst=target, interpolation=cv2.INTER_AREA)
+        return out
+
+    def median(self, planes: AnyArray) -> AnyArray:
+        out = np.empty_like(planes)
+        for plane, target in zip(planes, out, strict=True):
+            cv2.medianBlur(plane, MEDIAN_PX, dst=target)
+        return out
+
+    def smoother(self, guide: AnyArray, strength: float, edge_codes: float) -> Callable[[AnyArray], AnyArray]:
+        codes = np.clip(guide, 0, 255).astype(np.uint8)
+        picture = codes[0] if len(codes) == 1 else np.ascontiguousarray(codes.transpose(1, 2, 0))
+        estimator = cv2.ximgproc.createFastGlobalSmootherFilter(picture, strength, edge_codes)
+
+        def smooth(planes: AnyArray) -> AnyArray:
+            out = np.empty_like(planes)
+            for plane, target in zip(planes, out, strict=True):
+                target[...] = estimator.filter(plane)  # its dst comes back unwritten
+            return out
+
+        return smooth
+
+    def add_product(self, total: AnyArray, a: AnyArray, b: AnyArray) -> None:
+        if a.ndim == 2:
+            cv2.accumulateProduct(a, b, total)
+            return
+        for one, other in zip(a, b, strict=True):
+            cv2.accumulateProduct(one, other, total)

@@ -1,0 +1,187 @@
+"""What two pictures say about motion at each pixel: many derivative channels, each a distance in px, summed to a tensor.
+
+Each derivative (i, j) of the image gives its own motion constraint, X du + Y dv + T = 0 with X and Y its slopes in the
+mean of both pictures and T its change. Divided by its slope a constraint is a distance in px in which the picture's
+contrast has cancelled: the ratio of the Multi-channel Gradient Model (Johnston, McOwan and Benton, Proc. R. Soc. B
+1999). The sum of squares of all of them is a quadratic in (du, dv), six numbers a pixel, and the only thing the solver
+needs to know of the pictures.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from morphspace.flow.backends import Backend, Planes
+from morphspace.flow.filters import gaussian_derivative, up_to
+
+LIGHT_CELL_PX = 8  # over which the light of two pictures is compared
+MOST_MISMATCH_PX = 5.0  # a point that is off by more is simply wrong; more would only smear
+
+
+@dataclass(frozen=True, eq=False)
+class Channels:
+    """Which derivatives count, and how. `weights` one a total order 0, 1, ...; a weight of 0 leaves the order out.
+
+    `sd_px` of the Gaussian; `noise_codes`, the sd of noise (8-bit codes) at which a slope counts half; `light_codes`,
+    the local change of light at which order 0, the raw picture, stops counting.
+    """
+
+    weights: tuple[float, ...]
+    sd_px: float
+    noise_codes: float
+    light_codes: float
+
+    @property
+    def kernels(self) -> list[Any]:
+        """The Gaussian's derivatives of order 0, 1, ..., one more than the channels have."""
+        radius = max(3, int(np.ceil(4 * self.sd_px)))
+        return [gaussian_derivative(n, self.sd_px, radius=radius) for n in range(len(self.weights) + 1)]
+
+    def noise_floors(self, colours: int) -> dict[tuple[int, int], float]:
+        """Give for each channel the squared slope that noise of `noise_codes` alone would have."""
+        energy = [float((kernel**2).sum()) for kernel in self.kernels]
+        return {
+            (i, j): colours * self.noise_codes**2 * (energy[i + 1] * energy[j] + energy[i] * energy[j + 1])
+            for i, j in up_to(len(self.weights) - 1)
+        }
+
+
+Derivatives = Mapping[tuple[int, int], Planes]
+"""(i, j) -> half the derivative of each colour, i times right and j times down."""
+
+
+def half_derivatives(backend: Backend, planes: Planes, channels: Channels) -> Derivatives:
+    """Give half of every derivative the channels need of planes (c, h, w): halves add up to means over two pictures."""
+    kernels = channels.kernels
+    return {
+        (i, j): backend.filtered(planes, kernels[i] / 2, kernels[j]) for i, j in up_to(len(channels.weights))
+    }
+
+
+@dataclass(frozen=True, eq=False)
+class Tensor:
+    """The quadratic xx du^2 + yy dv^2 + 2 xy du dv + 2 xt du + 2 yt dv + tt, each (h, w), in px^2."""
+
+    xx: Planes
+    yy: Planes
+    xy: Planes
+    xt: Planes
+    yt: Planes
+    tt: Planes
+
+    def residual(self, du: Planes, dv: Planes) -> Planes:
+        """Give the quadratic at (du, dv), each (h, w): how far all channels together miss, in px^2."""
+        out = (self.xx * du + 2 * self.xt) * du
+        out += (self.yy * dv + 2 * (self.yt + self.xy * du)) * dv
+        out += self.tt
+        return out
+
+
+def tensor(
+    backend: Backend, reference: Derivatives, frame: Derivatives, channels: Channels, shape: tuple[int, int, int]
+) -> Tensor:
+    """Sum the constraints of all channels; both pictures' half derivatives, the frame's after warping.
+
+    `shape` (c, h, w). The colours of a channel share one normalisation, so a colour without contrast adds no noise.
+    """
+    xp = backend.xp
+    colours = shape[0]
+    floors = channels.noise_floors(colours)
+    mean = {key: reference[key] + frame[key] for key in reference if key != (0, 0)}
+    square = {key: _dot(backend, planes, planes) for key, planes in mean.items()}
+    total = [xp.zeros_like(square[1, 0]) for _ in range(6)]
+    for i, j in up_to(len(channels.weights) - 1):
+        weight = channels.weights[i + j]
+        if weight == 0:
+            continue
+        x, y, half_change = mean[i + 1, j], mean[i, j + 1], frame[i, j] - reference[i, j]
+        per_px = square[i + 1, j] + square[i, j + 1]
+        per_px += floors[i, j]
+        per_px = weight / per_px
+        if i + j == 0:
+            half_change, agreement = _light_apart(backend, half_change, channels.light_codes / 2)
+            per_px *= agreement
+        products = (
+            square[i + 1, j],
+            square[i, j + 1],
+            _dot(backend, x, y),
+            _dot(backend, x, half_change),
+            _dot(backend, y, half_change),
+            _dot(backend, half_change, half_change),
+        )
+        for sum_, product in zip(total, products, strict=True):
+            backend.add_product(sum_, per_px, product)
+    total[3] *= 2
+    total[4] *= 2
+    total[5] *= 4
+    return Tensor(*total)
+
+
+def _dot(backend: Backend, a: Planes, b: Planes) -> Planes:
+    out = backend.xp.zeros_like(a[0])
+    backend.add_product(out, a, b)
+    return out
+
+
+def _light_apart(backend: Backend, change: Planes, light_codes: float) -> tuple[Planes, Planes]:
+    """Take the change of light common to the picture out of a change (c, h, w), and say where the rest is no light.
+
+    The common part is the median, so that adding a constant to a picture alters nothing. Where the change has a mean
+    over `LIGHT_CELL_PX` that is beyond `light_codes`, the light has changed and raw values must not be compared.
+    """
+    xp = backend.xp
+    height, width = change.shape[1:]
+    thin = change[:, ::4, ::4].reshape(len(change), -1)
+    thin = thin[:, : thin.shape[1] - 1 + thin.shape[1] % 2]  # an odd count: numpy and torch agree on the median
+    middle = xp.stack([xp.median(plane) for plane in thin])
+    change = change - middle[:, None, None]
+    cells = max(1, round(height / LIGHT_CELL_PX)), max(1, round(width / LIGHT_CELL_PX))
+    light = backend.resized(backend.averaged(change, *cells), height, width)
+    return change, xp.exp(-(light * light).sum(0) / (len(change) * light_codes**2))
+
+
+@dataclass(frozen=True, eq=False)
+class Appearance:
+    """The first derivatives of a picture and what one px of error changes in them: to compare whole fields by.
+
+    `slopes` (2 c, h, w); `per_px` (2, h, w), one over the square of the second derivatives.
+    """
+
+    slopes: Planes
+    per_px: Planes
+
+
+def appearance(backend: Backend, derivatives: Derivatives, channels: Channels) -> Appearance:
+    """Give the appearance of a picture from its half derivatives."""
+    xp = backend.xp
+    colours = len(derivatives[1, 0])
+    floors = channels.noise_floors(colours)
+    xx, xy, yy = (_dot(backend, derivatives[key], derivatives[key]) for key in ((2, 0), (1, 1), (0, 2)))
+    per_px = xp.stack([1 / (xx + xy + floors[1, 0] / 4), 1 / (xy + yy + floors[0, 1] / 4)])
+    return Appearance(xp.concatenate([derivatives[1, 0], derivatives[0, 1]]), per_px)
+
+
+def mismatch(backend: Backend, reference: Appearance, slopes: Planes, x: Planes, y: Planes, blur: Any) -> Planes:
+    """Say how badly the point of a frame at (x, y) px looks like each pixel of the reference: (h, w) px.
+
+    `slopes` (2 c, h, w) of the frame; `blur`, the kernel (n,) of the neighbourhood that is compared. Beyond the frame
+    nothing looks alike.
+    """
+    xp = backend.xp
+    difference = backend.looked_up(slopes, x, y) - reference.slopes
+    colours = len(difference) // 2
+    square = _dot(backend, difference[:colours], difference[:colours]) * reference.per_px[0]
+    square += _dot(backend, difference[colours:], difference[colours:]) * reference.per_px[1]
+    height, width = square.shape
+    off = xp.clip(xp.sqrt(square), 0, MOST_MISMATCH_PX)
+    off = xp.where(outside(x, y, height, width), MOST_MISMATCH_PX, off)
+    return backend.filtered(off[None], blur, blur)[0]
+
+
+def outside(x: Planes, y: Planes, height: int, width: int) -> Planes:
+    """Tell where (x, y) px lies outside a picture, as bool (h, w)."""
+    return (x < 0) | (x > width - 1) | (y < 0) | (y > height - 1)

@@ -1,0 +1,279 @@
+"""The registration form of multiscale gradient flow: two pictures, large displacements; what builds the morphs (ours).
+
+From the coarsest scale to the finest, the frame is sampled at the present field, every derivative channel says by how
+many px it is still off (`constraints`), and the field takes the step that agrees best with all channels and with its
+neighbours: robust least squares, solved by alternating a 2 x 2 solve at each pixel with an edge-aware smoothing of the
+whole field (alternating direction method of multipliers, so that both agree in the end). In between each pixel may take
+over the motion of a pixel near by, or of a field it was given as a start, where that looks more alike: this is how a
+lower lip, too small to be seen at the scale at which the jaw is found, follows the jaw.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from math import sqrt
+from typing import Any, Literal
+
+import numpy as np
+
+from morphspace.arrays import Displacement, Image
+from morphspace.flow import Flow, FlowFunction, FlowMethod
+from morphspace.flow.backends import Backend, OpenCVBackend, Planes
+from morphspace.flow.constraints import (
+    Appearance,
+    Channels,
+    Derivatives,
+    Tensor,
+    appearance,
+    half_derivatives,
+    mismatch,
+    outside,
+    tensor,
+)
+from morphspace.flow.filters import gaussian_derivative
+from morphspace.flow.folds import unfolded
+from morphspace.flow.pairs import checked_pair, checked_picture, is_featureless, unknown_flow
+
+CODES = 255.0  # the estimator thinks in 8-bit codes
+LUMA = np.array([0.299, 0.587, 0.114], np.float32)  # ITU-R BT.601
+LEAST_SIDE_PX = 16  # of the coarsest scale
+
+
+@dataclass(frozen=True, eq=False)
+class Preset:
+    """Everything that can be chosen about the estimator.
+
+    `colours`: the planes that are compared; `finest`, the share of the full size at which the last scale works;
+    `factor` between scales; `warps` a scale, finest first, the last number for all coarser ones; `channels`;
+    `robust_px`, residuals above it count less and less; `coupling` of the pixelwise solve to the smooth field;
+    `strength` and `edge_codes` of the smoother; `rounds` of robust weights a warp and `alternations` in each;
+    `rivals_px`, up to which size neighbours' motions are tried, `rival_step_px` how far away and `rival_rounds` how often;
+    `checked_px`, the size at which forward and backward flow are compared (0: not at all).
+    """
+
+    colours: Literal["grey", "rgb"]
+    finest: float
+    factor: float
+    warps: tuple[int, ...]
+    channels: Channels
+    robust_px: float = 0.05
+    coupling: float = 0.4
+    strength: float = 10.0
+    edge_codes: float = 8.0
+    integration_px: float = 1.0
+    rounds: int = 2
+    alternations: int = 2
+    rivals_px: int = 140
+    rival_step_px: int = 3
+    rival_rounds: int = 2
+    checked_px: int = 0
+
+
+@dataclass(frozen=True, eq=False)
+class Level:
+    """One scale of a picture: `planes` (c, h, w) codes."""
+
+    planes: Planes
+
+    @property
+    def size(self) -> tuple[int, int]:
+        height, width = self.planes.shape[1:]
+        return height, width
+
+
+@dataclass(frozen=True, eq=False)
+class ReferenceLevel:
+    """What one scale of the reference gives to every frame."""
+
+    planes: Planes
+    derivatives: Derivatives
+    appearance: Appearance
+    smooth: Callable[[Planes], Planes]
+    x: Planes
+    y: Planes
+
+
+def method(preset: Preset, backend: Backend | None = None) -> FlowMethod:
+    """Give the estimator as a flow method."""
+    return lambda reference: matcher(reference, preset, backend or OpenCVBackend())
+
+
+def matcher(reference: Image, preset: Preset, backend: Backend) -> FlowFunction:
+    """Prepare a reference (h, w, 3), and give the function that finds frames from it."""
+    reference = checked_picture(reference, "the reference")
+    planes = _colour_planes(reference, preset, backend)
+    levels = [_reference_level(scaled, preset, backend) for scaled in _pyramid(planes, preset, backend)]
+
+    def to_frame(frame: Image, start: Displacement | None = None) -> Flow:
+        first, second = checked_pair(reference, frame)
+        if is_featureless(first) or is_featureless(second):
+            return unknown_flow(*first.shape[:2])
+        target = _colour_planes(second, preset, backend)
+        field = backend.planes(np.zeros((2, 1, 1))) if start is None else start
+        field = _descend(levels, _pyramid(target, preset, backend), preset, backend, start)
+        field = _resized_field(field, *first.shape[:2], backend)
+        displacement = backend.numpy(field).transpose(1, 2, 0)
+        displacement = unfolded(np.ascontiguousarray(displacement))
+        return Flow(displacement, np.ones(displacement.shape[:2], np.float32))
+
+    return to_frame
+
+
+def _colour_planes(image: Image, preset: Preset, backend: Backend) -> Planes:
+    scaled = image * np.float32(CODES)
+    planes = (scaled @ LUMA)[None] if preset.colours == "grey" else scaled.transpose(2, 0, 1)
+    return backend.planes(planes)
+
+
+def _pyramid(planes: Planes, preset: Preset, backend: Backend) -> list[Planes]:
+    """Give the picture at every scale, finest first."""
+    height, width = planes.shape[1:]
+    share = preset.finest
+    if share < 1:
+        planes = _shrunk(planes, share, round(height * share), round(width * share), backend)
+    scales = [planes]
+    while min(height, width) * share * preset.factor >= LEAST_SIDE_PX:
+        share *= preset.factor
+        scales.append(
+            _shrunk(scales[-1], preset.factor, round(height * share), round(width * share), backend)
+        )
+    return scales
+
+
+def _shrunk(planes: Planes, factor: float, height: int, width: int, backend: Backend) -> Planes:
+    blur = gaussian_derivative(0, max(0.5 * sqrt(1 / factor**2 - 1), 0.3), radius=3)
+    return backend.resized(backend.filtered(planes, blur, blur), height, width)
+
+
+def _reference_level(planes: Planes, preset: Preset, backend: Backend) -> ReferenceLevel:
+    height, width = planes.shape[1:]
+    derivatives = half_derivatives(backend, planes, preset.channels)
+    x, y = np.meshgrid(np.arange(width, dtype=np.float32), np.arange(height, dtype=np.float32))
+    return ReferenceLevel(
+        planes=planes,
+        derivatives=derivatives,
+        appearance=appearance(backend, derivatives, preset.channels),
+        smooth=backend.smoother(planes, preset.strength, preset.edge_codes),
+        x=backend.planes(x),
+        y=backend.planes(y),
+    )
+
+
+def _descend(
+    levels: Sequence[ReferenceLevel],
+    target: Sequence[Planes],
+    preset: Preset,
+    backend: Backend,
+    start: Displacement | None,
+) -> Planes:
+    field: Any = None
+    for number in reversed(range(len(levels))):
+        level = levels[number]
+        height, width = level.planes.shape[1:]
+        if field is None:
+            field = backend.xp.zeros_like(backend.xp.stack([level.x, level.y]))
+        else:
+            field = _resized_field(field, height, width, backend)
+        warps = preset.warps[min(number, len(preset.warps) - 1)]
+        field = _refined(level, target[number], field, warps, preset, backend)
+    return field
+
+
+def _resized_field(field: Planes, height: int, width: int, backend: Backend) -> Planes:
+    old_height, old_width = field.shape[1:]
+    if (old_height, old_width) == (height, width):
+        return field
+    field = backend.resized(field, height, width)
+    field[0] *= width / old_width
+    field[1] *= height / old_height
+    return field
+
+
+def _refined(
+    level: ReferenceLevel, target: Planes, field: Planes, warps: int, preset: Preset, backend: Backend
+) -> Planes:
+    xp = backend.xp
+    read = backend.sampler(target)
+    dual = xp.zeros_like(field)
+    height, width = target.shape[1:]
+    slopes: Any = None
+    for number in range(warps):
+        if number == min(1, warps - 1) and max(height, width) <= preset.rivals_px:
+            derivatives = half_derivatives(backend, target, replace(preset.channels, weights=(1.0,)))
+            slopes = xp.concatenate([derivatives[1, 0], derivatives[0, 1]])
+            field = _with_rivals(level, slopes, field, preset, backend)
+        x, y = level.x + field[0], level.y + field[1]
+        warped = half_derivatives(backend, read(x, y), preset.channels)
+        constraint = tensor(backend, level.derivatives, warped, preset.channels, tuple(target.shape))
+        seen = xp.where(outside(x, y, height, width), 0.0, xp.ones_like(x))
+        field, dual = _step(level, constraint, seen, field, dual, preset, backend)
+        field = backend.median(field)
+    return field
+
+
+def _step(
+    level: ReferenceLevel,
+    constraint: Tensor,
+    seen: Planes,
+    field: Planes,
+    dual: Planes,
+    preset: Preset,
+    backend: Backend,
+) -> tuple[Planes, Planes]:
+    """Move the field to where the robust constraints and the smoothness agree."""
+    xp = backend.xp
+    moved = field
+    blur = gaussian_derivative(0, preset.integration_px, radius=3) if preset.integration_px else None
+    for _ in range(preset.rounds):
+        change = moved - field
+        off = constraint.residual(change[0], change[1])
+        trust = seen / xp.sqrt(xp.clip(off, 0, None) + preset.robust_px**2)
+        weighted = xp.stack(
+            [trust * part for part in (constraint.xx, constraint.yy, constraint.xy, constraint.xt, constraint.yt)]
+        )
+        if blur is not None:
+            weighted = backend.filtered(weighted, blur, blur)
+        a, b, c, d, e = weighted
+        a = a + preset.coupling
+        b = b + preset.coupling
+        scale = 1 / (a * b - c * c)
+        for _ in range(preset.alternations):
+            smooth = level.smooth(moved + dual)
+            dual = dual + moved - smooth
+            wanted = preset.coupling * (smooth - dual - field)
+            right, down = wanted[0] - d, wanted[1] - e
+            moved = field + xp.stack([(b * right - c * down) * scale, (a * down - c * right) * scale])
+    return moved, dual
+
+
+def _with_rivals(
+    level: ReferenceLevel, slopes: Planes, field: Planes, preset: Preset, backend: Backend
+) -> Planes:
+    """Let each pixel take over the motion of one near by where its surroundings then look clearly more alike."""
+    blur = gaussian_derivative(0, 1.5, radius=4)
+    xp = backend.xp
+
+    def judged(candidate: Planes) -> Planes:
+        return mismatch(
+            backend, level.appearance, slopes, level.x + candidate[0], level.y + candidate[1], blur
+        )
+
+    least = judged(field)
+    step = preset.rival_step_px
+    for _ in range(preset.rival_rounds):
+        for right, down in ((0, step), (0, -step), (step, 0), (-step, 0)):
+            rival = _moved_over(field, right, down, xp)
+            found = judged(rival)
+            better = found < 0.9 * least
+            field = xp.where(better, rival, field)
+            least = xp.where(better, found, least)
+    return field
+
+
+def _moved_over(field: Planes, right: int, down: int, xp: Any) -> Planes:
+    """Give each pixel what the pixel `right` and `down` from it has, the edge repeated."""
+    height, width = field.shape[1:]
+    rows = np.clip(np.arange(height) + down, 0, height - 1)
+    columns = np.clip(np.arange(width) + right, 0, width - 1)
+    return field[:, rows][:, :, columns]

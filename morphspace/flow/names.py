@@ -1,0 +1,12 @@
+"""The names of the flow methods without the methods, so that help can list them before anything heavy is imported."""
+
+from __future__ import annotations
+
+OURS: tuple[str, ...] = ()
+"""Presets of our own estimator, the quickest first."""
+
+STOCK: tuple[str, ...] = ("deepflow", "dis", "dis-medium", "tvl1")
+"""Estimators from OpenCV and scikit-image, for comparison."""
+
+NAMES = OURS + STOCK
+DEFAULT = "deepflow"
