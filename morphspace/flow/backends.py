@@ -15,6 +15,7 @@ import cv2
 import numpy as np
 
 from morphspace.arrays import AnyArray
+from morphspace.errors import BadInput
 from morphspace.flow.filters import BORDER
 from morphspace.warp import sample_spline, spline_coefficients
 
@@ -146,3 +147,18 @@ class OpenCVBackend:
             return
         for one, other in zip(a, b, strict=True):
             cv2.accumulateProduct(one, other, total)
+
+
+def named_backend(name: str) -> Backend:
+    """Give the primitives by name: "opencv", "torch" (a GPU where there is one), "torch:cpu" or "torch:cuda".
+
+    Raises `BadInput` for another name, where torch is not installed and where there is no such device.
+    """
+    if name == "opencv":
+        return OpenCVBackend()
+    library, _, device = name.partition(":")
+    if library != "torch":
+        raise BadInput(f"the flow does not run on {name!r}: choose opencv, torch, torch:cpu or torch:cuda")
+    from morphspace.flow import torch_backend  # an optional dependency, and slow to import
+
+    return torch_backend.TorchBackend(device or torch_backend.best_device())
