@@ -37,6 +37,7 @@ from morphspace.flow.pairs import checked_pair, checked_picture, is_featureless,
 
 CODES = 255.0  # the estimator thinks in 8-bit codes
 LUMA = np.array([0.299, 0.587, 0.114], np.float32)  # ITU-R BT.601
+MISSED_PX = 2.0
 LEAST_SIDE_PX = 16  # of the coarsest scale
 
 
@@ -59,11 +60,12 @@ class Preset:
     channels: Channels
     robust_px: float = 0.05
     coupling: float = 0.4
-    strength: float = 10.0
-    edge_codes: float = 8.0
+    strength: float = 30.0
+    edge_codes: float = 10.0
     integration_px: float = 1.0
-    rounds: int = 2
-    alternations: int = 2
+    rounds: int = 3
+    alternations: int = 1
+    smoothings: Literal[1, 2] = 2
     rivals_px: int = 140
     rival_step_px: int = 3
     rival_rounds: int = 2
@@ -109,13 +111,13 @@ def matcher(reference: Image, preset: Preset, backend: Backend) -> FlowFunction:
         first, second = checked_pair(reference, frame)
         if is_featureless(first) or is_featureless(second):
             return unknown_flow(*first.shape[:2])
-        target = _colour_planes(second, preset, backend)
-        field = backend.planes(np.zeros((2, 1, 1))) if start is None else start
-        field = _descend(levels, _pyramid(target, preset, backend), preset, backend, start)
-        field = _resized_field(field, *first.shape[:2], backend)
-        displacement = backend.numpy(field).transpose(1, 2, 0)
-        displacement = unfolded(np.ascontiguousarray(displacement))
-        return Flow(displacement, np.ones(displacement.shape[:2], np.float32))
+        height, width = first.shape[:2]
+        target = _pyramid(_colour_planes(second, preset, backend), preset, backend)
+        field, trust, off = _matched(levels, target, preset, backend, start)
+        field = _resized_field(field, height, width, backend)
+        confidence = backend.resized((trust / (1 + off / MISSED_PX**2))[None], height, width)
+        displacement = unfolded(np.ascontiguousarray(backend.numpy(field).transpose(1, 2, 0)))
+        return Flow(displacement, np.clip(backend.numpy(confidence)[0], 0, 1))
 
     return to_frame
 
@@ -160,14 +162,50 @@ def _reference_level(planes: Planes, preset: Preset, backend: Backend) -> Refere
     )
 
 
-def _descend(
+def _matched(
     levels: Sequence[ReferenceLevel],
     target: Sequence[Planes],
     preset: Preset,
     backend: Backend,
     start: Displacement | None,
-) -> Planes:
+) -> tuple[Planes, Planes, Planes]:
+    """Find the field at the finest level, the trust in it from the way back, and how far it still misses."""
+    sizes = [max(level.planes.shape[1:]) for level in levels]
+    checked = next((n for n, size in enumerate(sizes) if size <= preset.checked_px), len(levels))
+    trust: Any = None
     field: Any = None
+    off: Any = None
+    if checked < len(levels):
+        field, off = _descend(levels[checked:], target[checked:], None, None, preset, checked, backend)
+        back_levels = [_reference_level(planes, preset, backend) for planes in target[checked:]]
+        own = [level.planes for level in levels[checked:]]
+        back, _ = _descend(back_levels, own, None, None, preset, checked, backend)
+        trust = _agreement(field, back, levels[checked], backend)
+    if checked > 0:
+        field, off = _descend(levels[:checked], target[:checked], field, trust, preset, 0, backend)
+    height, width = field.shape[1:]
+    trust = backend.xp.ones_like(field[0]) if trust is None else backend.resized(trust[None], height, width)[0]
+    return field, trust, off
+
+
+def _agreement(field: Planes, back: Planes, level: ReferenceLevel, backend: Backend) -> Planes:
+    """Say how well the way there and the way back agree at each pixel, (h, w), 1 where they cancel."""
+    x, y = level.x + field[0], level.y + field[1]
+    missed = field + backend.looked_up(back, x, y)
+    return 1 / (1 + ((missed * missed).sum(0) / MISSED_PX**2) ** 2)
+
+
+def _descend(
+    levels: Sequence[ReferenceLevel],
+    target: Sequence[Planes],
+    field: Planes | None,
+    trust: Planes | None,
+    preset: Preset,
+    first: int,
+    backend: Backend,
+) -> tuple[Planes, Planes]:
+    """Refine a field through the levels given, coarsest last in the list and first in time."""
+    off: Any = None
     for number in reversed(range(len(levels))):
         level = levels[number]
         height, width = level.planes.shape[1:]
@@ -175,9 +213,10 @@ def _descend(
             field = backend.xp.zeros_like(backend.xp.stack([level.x, level.y]))
         else:
             field = _resized_field(field, height, width, backend)
-        warps = preset.warps[min(number, len(preset.warps) - 1)]
-        field = _refined(level, target[number], field, warps, preset, backend)
-    return field
+        here = None if trust is None else backend.resized(trust[None], height, width)[0]
+        warps = preset.warps[min(first + number, len(preset.warps) - 1)]
+        field, off = _refined(level, target[number], field, here, warps, preset, backend)
+    return field, off
 
 
 def _resized_field(field: Planes, height: int, width: int, backend: Backend) -> Planes:
@@ -191,8 +230,14 @@ def _resized_field(field: Planes, height: int, width: int, backend: Backend) -> 
 
 
 def _refined(
-    level: ReferenceLevel, target: Planes, field: Planes, warps: int, preset: Preset, backend: Backend
-) -> Planes:
+    level: ReferenceLevel,
+    target: Planes,
+    field: Planes,
+    trust: Planes | None,
+    warps: int,
+    preset: Preset,
+    backend: Backend,
+) -> tuple[Planes, Planes]:
     xp = backend.xp
     read = backend.sampler(target)
     dual = xp.zeros_like(field)
@@ -207,9 +252,13 @@ def _refined(
         warped = half_derivatives(backend, read(x, y), preset.channels)
         constraint = tensor(backend, level.derivatives, warped, preset.channels, tuple(target.shape))
         seen = xp.where(outside(x, y, height, width), 0.0, xp.ones_like(x))
-        field, dual = _step(level, constraint, seen, field, dual, preset, backend)
-        field = backend.median(field)
-    return field
+        if trust is not None:
+            seen = seen * trust
+        moved, dual = _step(level, constraint, seen, field, dual, preset, backend)
+        change = moved - field
+        off = constraint.residual(change[0], change[1])
+        field = backend.median(moved)
+    return field, off
 
 
 def _step(
@@ -239,12 +288,24 @@ def _step(
         b = b + preset.coupling
         scale = 1 / (a * b - c * c)
         for _ in range(preset.alternations):
-            smooth = level.smooth(moved + dual)
+            smooth = _smoothed(level, moved + dual, preset)
             dual = dual + moved - smooth
             wanted = preset.coupling * (smooth - dual - field)
             right, down = wanted[0] - d, wanted[1] - e
             moved = field + xp.stack([(b * right - c * down) * scale, (a * down - c * right) * scale])
     return moved, dual
+
+
+def _smoothed(level: ReferenceLevel, field: Planes, preset: Preset) -> Planes:
+    """Smooth a field once, or twice with the loss of the first time given back (Tukey's twicing).
+
+    With S the smoother's response to a wave, twicing answers 1 - (1 - S)^2: what is left of a slow wave is off to the
+    second order only, as if bending had been penalised instead of slope.
+    """
+    once = level.smooth(field)
+    if preset.smoothings == 1:
+        return once
+    return 2 * once - level.smooth(once)
 
 
 def _with_rivals(

@@ -79,7 +79,7 @@ def _blended(grey: AnyArray, other: AnyArray, field: Displacement, single: Displ
     """Mix two fields, each by the other's share of the local error, and say how far the result explains the picture."""
     error, error_single = (_local_error(grey, other, each) for each in (field, single))
     share = ((error_single + LEAST_ERROR) / (error + error_single + 2 * LEAST_ERROR))[..., None]
-    mixed: Displacement = share * field + (1 - share) * single
+    mixed: AnyArray = share * field + (1 - share) * single
     contrast = np.maximum(_averaged(grey**2) - _averaged(grey) ** 2, 0)
     explained = np.maximum(contrast - _local_error(grey, other, mixed), 0)
     confidence: Mask = explained / (contrast + LEAST_ERROR)

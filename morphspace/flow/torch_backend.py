@@ -22,7 +22,9 @@ from morphspace.warp import SPLINE_POLE, SPLINE_TAPS
 try:
     import torch
 except ModuleNotFoundError as error:
-    raise BadInput("the flow cannot run on torch, which is not installed: install morphspace[torch]") from error
+    raise BadInput(
+        "the flow cannot run on torch, which is not installed: install morphspace[torch]"
+    ) from error
 
 CUBIC_A = -0.75  # the slope at 1 px of the bicubic kernel that OpenCV has
 AREA_SLIVER_PX = 1e-3  # OpenCV leaves out a pixel of which an area covers less
@@ -164,7 +166,9 @@ def _checked_device(name: str) -> Planes:
     if device.type not in ("cpu", "cuda"):
         raise BadInput(f"the flow does not run on {name!r}: choose cpu or cuda")
     if device.type == "cuda" and (device.index or 0) >= torch.cuda.device_count():
-        raise BadInput(f"there is no device {name!r} here, torch sees {torch.cuda.device_count()}: choose cpu")
+        raise BadInput(
+            f"there is no device {name!r} here, torch sees {torch.cuda.device_count()}: choose cpu"
+        )
     return device
 
 

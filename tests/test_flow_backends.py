@@ -1,0 +1,272 @@
+"""Laws of the primitives: torch gives what OpenCV gives, on pictures of any shape, and so does the flow on them."""
+
+import builtins
+import sys
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose, assert_array_equal
+from scipy import ndimage
+
+from morphspace import warp
+from morphspace.errors import BadInput
+from morphspace.flow.backends import OpenCVBackend, named_backend
+from morphspace.flow.constraints import Channels
+from morphspace.flow.filters import gaussian_derivative
+from morphspace.flow.multiscale import Preset, method
+from morphspace.synthetic.warped import astronaut_face, flow_pair
+
+CV = OpenCVBackend()
+SHAPES = ((48, 40), (33, 27), (16, 400), (400, 16), (7, 3), (2, 40), (40, 2), (1, 25), (25, 1), (1, 1))
+CODES = 255.0
+ROUNDING = 1e-6 * CODES  # a few float32 roundings of codes 0 to 255
+FLOW_PX = 0.01  # what the two are allowed to differ by
+
+
+@pytest.fixture(scope="module")
+def ours():
+    """The torch backend, on the GPU where there is one."""
+    torch = pytest.importorskip("torch")
+    torch.set_num_threads(1)
+    return named_backend("torch")
+
+
+def noise(shape, seed=0, planes=3):
+    return (CODES * np.random.default_rng(seed).random((planes, *shape))).astype(np.float32)
+
+
+def soft(shape, seed=0, planes=3):
+    """A smooth random picture (planes, h, w) whose codes fill 0 to 255."""
+    out = ndimage.gaussian_filter(noise(shape, seed, planes), (0, 2, 2), mode="mirror")
+    out -= out.min()
+    return (CODES * out / max(out.max(), 1e-6)).astype(np.float32)
+
+
+def positions(shape, seed=0, beyond_px=6.0):
+    """Random (x, y) px, some of them outside the picture."""
+    height, width = shape
+    random = np.random.default_rng(seed)
+    x = random.uniform(-beyond_px, width - 1 + beyond_px, shape)
+    y = random.uniform(-beyond_px, height - 1 + beyond_px, shape)
+    return x.astype(np.float32), y.astype(np.float32)
+
+
+def on(backend, *arrays):
+    return tuple(backend.planes(array) for array in arrays)
+
+
+# each primitive
+
+
+@pytest.mark.parametrize("radius", [3, 6, 15])
+@pytest.mark.parametrize("shape", SHAPES)
+def test_filters_agree_at_any_size(ours, shape, radius):
+    planes = noise(shape)
+    for order in (0, 1, 2):
+        across, down = (
+            gaussian_derivative(order, 1.0, radius=radius),
+            gaussian_derivative(0, 2.0, radius=radius),
+        )
+        found = ours.numpy(ours.filtered(ours.planes(planes), across, down))
+        assert found.dtype == np.float32
+        assert_allclose(found, CV.filtered(planes, across, down), rtol=0, atol=ROUNDING)
+
+
+def test_a_kernel_correlates_and_keeps_its_axes(ours):
+    planes = np.zeros((1, 9, 11), np.float32)
+    planes[0, 4, 5] = 1
+    found = ours.numpy(ours.filtered(ours.planes(planes), np.array([1.0, 2, 4]), np.array([0.0, 8, 32])))[0]
+    assert_array_equal(found[3:5, 4:7], [[128, 64, 32], [32, 16, 8]])
+    assert found.sum() == 280
+
+
+@pytest.mark.parametrize("count", [1, 2, 3])
+@pytest.mark.parametrize("shape", SHAPES)
+def test_the_sampler_reads_the_interpolating_spline(ours, shape, count):
+    planes = noise(shape, planes=count)
+    x, y = positions(shape)
+    inside = np.stack([np.clip(y, 0, shape[0] - 1), np.clip(x, 0, shape[1] - 1)]).astype(np.float64)
+    truth = [ndimage.map_coordinates(plane.astype(float), inside, order=3, mode="mirror") for plane in planes]
+    found = ours.numpy(ours.sampler(ours.planes(planes))(*on(ours, x, y)))
+    assert_allclose(found, truth, rtol=0, atol=3 * ROUNDING)
+
+
+@pytest.mark.parametrize("shape", SHAPES)
+def test_samplers_agree_on_smooth_pictures(ours, shape):
+    planes = soft(shape)
+    x, y = positions(shape)
+    found = ours.numpy(ours.sampler(ours.planes(planes))(*on(ours, x, y)))
+    # codes; OpenCV is asked for positions that float32 rounds to 3e-5 px at 400 px
+    assert_allclose(found, CV.sampler(planes)(x, y), rtol=0, atol=1e-3)
+
+
+@pytest.mark.parametrize("shape", SHAPES)
+def test_look_ups_agree_inside_and_outside(ours, shape):
+    planes = noise(shape, planes=2)
+    x, y = positions(shape)
+    found = ours.numpy(ours.looked_up(ours.planes(planes), *on(ours, x, y)))
+    assert_allclose(found, CV.looked_up(planes, x, y), rtol=0, atol=ROUNDING)
+
+
+@pytest.mark.parametrize("shape", SHAPES)
+def test_resized_planes_agree_up_and_down(ours, shape):
+    planes = noise(shape, planes=2)
+    height, width = shape
+    for down, across in ((0.8, 0.8), (0.5, 0.5), (1 / 0.7, 1 / 0.7), (1, 2), (0.3, 3)):
+        size = max(1, round(height * down)), max(1, round(width * across))
+        found = ours.numpy(ours.resized(ours.planes(planes), *size))
+        assert found.shape == (2, *size)
+        # codes; OpenCV rounds the position to float32
+        assert_allclose(found, CV.resized(planes, *size), rtol=0, atol=4 * ROUNDING)
+
+
+@pytest.mark.parametrize("shape", [*SHAPES, (90, 70)])
+def test_averages_over_areas_agree_at_any_ratio(ours, shape):
+    planes = noise(shape, planes=2)
+    for ratio in (1, 1.7, 3, 8):
+        size = tuple(max(1, round(side / ratio)) for side in shape)
+        found = ours.numpy(ours.averaged(ours.planes(planes), *size))
+        assert_allclose(found, CV.averaged(planes, *size), rtol=0, atol=ROUNDING)
+
+
+@pytest.mark.parametrize("shape", SHAPES)
+def test_medians_are_the_same_to_the_bit(ours, shape):
+    levels = np.random.default_rng(3).integers(0, 2, (2, *shape)).astype(np.float32)  # ties everywhere
+    for planes in (noise(shape), levels):
+        assert_array_equal(ours.numpy(ours.median(ours.planes(planes))), CV.median(planes))
+
+
+@pytest.mark.parametrize("guides", [1, 3])
+@pytest.mark.parametrize(("strength", "edge_codes"), [(10.0, 8.0), (300.0, 20.0)])
+@pytest.mark.parametrize("shape", SHAPES)
+def test_smoothers_agree(ours, shape, strength, edge_codes, guides):
+    guide = 1.2 * soft(shape, seed=1, planes=guides) - 20  # beyond 0 and 255 too
+    planes = noise(shape, planes=2)
+    found = ours.numpy(ours.smoother(ours.planes(guide), strength, edge_codes)(ours.planes(planes)))
+    # of the largest code; OpenCV's own distance from the exact solution
+    assert_allclose(found, CV.smoother(guide, strength, edge_codes)(planes), rtol=0, atol=1e-5 * CODES)
+
+
+@pytest.mark.parametrize("strength", [0.0, 1.0, 1e4, 1e7])
+def test_smoothing_keeps_a_constant_and_all_extremes(ours, strength):
+    guide, planes = soft((40, 56)), noise((40, 56), planes=2)
+    smooth = ours.smoother(ours.planes(guide), strength, 8.0)
+    assert_allclose(ours.numpy(smooth(ours.planes(np.full_like(planes, 7)))), 7, rtol=1e-5)
+    found = ours.numpy(smooth(ours.planes(planes)))
+    assert planes.min() - ROUNDING <= found.min()
+    assert found.max() <= planes.max() + ROUNDING
+
+
+def test_products_agree_and_add_up(ours):
+    a, b, total = noise((9, 7), 1) / CODES, noise((9, 7), 2) / CODES, noise((9, 7), 3, planes=1)[0] / CODES
+    theirs, mine = total.copy(), ours.planes(total)
+    for factors in ((a[0], b[0]), (a, b)):
+        CV.add_product(theirs, *factors)
+        ours.add_product(mine, *on(ours, *factors))
+    assert_allclose(ours.numpy(mine), theirs, rtol=1e-6)
+
+
+def test_planes_are_float32_and_the_backends_own(ours):
+    array = np.arange(12.0).reshape(3, 2, 2).transpose(1, 2, 0)
+    array.flags.writeable = False
+    planes = ours.planes(array)
+    planes *= 2
+    back = ours.numpy(planes)
+    assert back.dtype == np.float32
+    assert_array_equal(back, 2 * array)
+    single = np.ones((1, 2, 2), np.float32)
+    mine = ours.planes(single)
+    mine += 1
+    assert_array_equal(single, 1)
+
+
+# the flow
+
+CHANNELS = Channels(weights=(1.0, 1.0, 1.0), sd_px=0.6, noise_codes=1.0, light_codes=10.0)
+
+
+def preset(colours, rivals_px):
+    return Preset(
+        colours=colours, finest=1.0, factor=0.7, warps=(2, 3, 4), channels=CHANNELS, rivals_px=rivals_px
+    )
+
+
+def apart_px(backend, chosen, reference, frame):
+    """How far the fields of both backends are apart at each pixel."""
+    theirs = method(chosen, CV)(reference)(frame).displacement
+    mine = method(chosen, backend)(reference)(frame).displacement
+    assert mine.dtype == np.float32
+    return np.hypot(*(mine - theirs).transpose(2, 0, 1)), theirs
+
+
+@pytest.mark.parametrize("colours", ["grey", "rgb"])
+@pytest.mark.parametrize("shape", [(96, 80), (61, 97), (16, 150)])
+def test_the_flow_is_the_same_on_both(ours, picture, wavy_field, shape, colours):
+    reference, true = picture(*shape, seed=4), wavy_field(*shape, 3.0, seed=5)
+    apart, field = apart_px(ours, preset(colours, 0), reference, warp.render(reference, true))
+    assert np.hypot(*field.transpose(2, 0, 1)).max() > 1  # something did move
+    assert apart.max() < FLOW_PX
+
+
+def test_the_flow_of_a_face_is_the_same_but_for_a_few_close_choices(ours):
+    photograph, marks = astronaut_face()
+    pair = flow_pair(photograph, marks, kind="mouth", peak_px=8.0, size=96)
+    apart, _ = apart_px(ours, preset("rgb", 140), pair.reference, pair.frame)
+    # two rivals may look alike to rounding, and then either is taken: that is no error of a primitive
+    assert np.median(apart) < 1e-4
+    assert np.quantile(apart, 0.99) < FLOW_PX
+    assert apart.max() < 0.3
+
+
+def test_the_same_pair_gives_the_same_bytes(ours, picture, wavy_field):
+    reference = picture(64, 56, seed=1)
+    frame = warp.render(reference, wavy_field(64, 56, 2.0, seed=2))
+    first, second = (method(preset("rgb", 140), ours)(reference)(frame).displacement for _ in range(2))
+    assert first.tobytes() == second.tobytes()
+
+
+# choosing one
+
+
+def test_opencv_is_chosen_by_name():
+    assert isinstance(named_backend("opencv"), OpenCVBackend)
+
+
+def test_torch_takes_the_gpu_where_there_is_one(ours):
+    import torch
+
+    chosen = named_backend("torch").planes(np.ones((1, 2, 2)))
+    assert chosen.device.type == ("cuda" if torch.cuda.is_available() else "cpu")
+    assert named_backend("torch:cpu").planes(np.ones((1, 2, 2))).device.type == "cpu"
+
+
+@pytest.mark.parametrize("name", ["numpy", "", "opencv:cpu", "tensorflow", "torchcpu"])
+def test_an_unknown_backend_is_named(name):
+    with pytest.raises(BadInput, match=f"{name!r}: choose opencv, torch"):
+        named_backend(name)
+
+
+@pytest.mark.parametrize("device", ["gpu", "meta", "cuda:x", "cuda:99", "cpu:cpu"])
+def test_a_device_that_is_not_there_is_named(device):
+    pytest.importorskip("torch")
+    with pytest.raises(BadInput, match=repr(device)) as caught:
+        named_backend(f"torch:{device}")
+    assert "choose" in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_without_torch_the_extra_is_named(monkeypatch):
+    load = builtins.__import__
+
+    def without_torch(name, *arguments, **keywords):
+        if name == "torch":
+            raise ModuleNotFoundError("No module named 'torch'", name="torch")
+        return load(name, *arguments, **keywords)
+
+    import morphspace.flow
+
+    monkeypatch.delitem(sys.modules, "morphspace.flow.torch_backend", raising=False)
+    monkeypatch.delattr(morphspace.flow, "torch_backend", raising=False)
+    monkeypatch.setattr(builtins, "__import__", without_torch)
+    with pytest.raises(BadInput, match=r"install morphspace\[torch\]"):
+        named_backend("torch")
