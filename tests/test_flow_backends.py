@@ -157,13 +157,39 @@ def test_smoothing_keeps_a_constant_and_all_extremes(ours, strength):
     assert found.max() <= planes.max() + ROUNDING
 
 
+def test_results_are_new_planes(ours):
+    x, y = positions((9, 7))
+    for results in (
+        lambda b, planes: b.filtered(planes, np.ones(1), np.ones(1)),
+        lambda b, planes: b.resized(planes, 9, 7),
+        lambda b, planes: b.averaged(planes, 9, 7),
+        lambda b, planes: b.median(planes),
+        lambda b, planes: b.smoother(planes, 0.0, 8.0)(planes),
+        lambda b, planes: b.looked_up(planes, *on(b, x, y)),
+    ):
+        for backend in (CV, ours):
+            planes = backend.planes(np.ones((1, 9, 7)))
+            out = results(backend, planes)
+            out += 1
+            assert_array_equal(backend.numpy(planes), 1)
+
+
 def test_products_agree_and_add_up(ours):
-    a, b, total = noise((9, 7), 1) / CODES, noise((9, 7), 2) / CODES, noise((9, 7), 3, planes=1)[0] / CODES
+    a, b, total = (noise((9, 7), seed, planes=1)[0] / CODES for seed in (1, 2, 3))
     theirs, mine = total.copy(), ours.planes(total)
-    for factors in ((a[0], b[0]), (a, b)):
-        CV.add_product(theirs, *factors)
-        ours.add_product(mine, *on(ours, *factors))
+    for backend, sum_ in ((CV, theirs), (ours, mine)):
+        for _ in range(2):
+            backend.add_product(sum_, *on(backend, a, b))
     assert_allclose(ours.numpy(mine), theirs, rtol=1e-6)
+    assert_allclose(theirs, total + 2 * a * b, rtol=1e-6)
+
+
+@pytest.mark.parametrize("count", [1, 3])
+def test_dots_sum_over_the_planes(ours, count):
+    a, b = noise((9, 7), 1, planes=count) - 100, noise((9, 7), 2, planes=count)
+    for backend in (CV, ours):
+        found = backend.dot(*on(backend, a, b))
+        assert_allclose(backend.numpy(found), (a * b).sum(0), rtol=1e-5, atol=ROUNDING * CODES)
 
 
 def test_planes_are_float32_and_the_backends_own(ours):
@@ -185,9 +211,15 @@ def test_planes_are_float32_and_the_backends_own(ours):
 CHANNELS = Channels(weights=(1.0, 1.0, 1.0), sd_px=0.6, noise_codes=1.0, light_codes=10.0)
 
 
-def preset(colours, rivals_px):
+def preset(colours, rivals_px, checked_px=0):
     return Preset(
-        colours=colours, finest=1.0, factor=0.7, warps=(2, 3, 4), channels=CHANNELS, rivals_px=rivals_px
+        colours=colours,
+        finest=1.0,
+        factor=0.7,
+        warps=(2, 3, 4),
+        channels=CHANNELS,
+        rivals_px=rivals_px,
+        checked_px=checked_px,
     )
 
 
@@ -208,10 +240,11 @@ def test_the_flow_is_the_same_on_both(ours, picture, wavy_field, shape, colours)
     assert apart.max() < FLOW_PX
 
 
-def test_the_flow_of_a_face_is_the_same_but_for_a_few_close_choices(ours):
+@pytest.mark.parametrize("checked_px", [0, 64])
+def test_the_flow_of_a_face_is_the_same_but_for_a_few_close_choices(ours, checked_px):
     photograph, marks = astronaut_face()
     pair = flow_pair(photograph, marks, kind="mouth", peak_px=8.0, size=96)
-    apart, _ = apart_px(ours, preset("rgb", 140), pair.reference, pair.frame)
+    apart, _ = apart_px(ours, preset("rgb", 140, checked_px), pair.reference, pair.frame)
     # two rivals may look alike to rounding, and then either is taken: that is no error of a primitive
     assert np.median(apart) < 1e-4
     assert np.quantile(apart, 0.99) < FLOW_PX
@@ -223,6 +256,25 @@ def test_the_same_pair_gives_the_same_bytes(ours, picture, wavy_field):
     frame = warp.render(reference, wavy_field(64, 56, 2.0, seed=2))
     first, second = (method(preset("rgb", 140), ours)(reference)(frame).displacement for _ in range(2))
     assert first.tobytes() == second.tobytes()
+
+
+def test_nothing_but_the_result_leaves_the_device(monkeypatch, picture):
+    torch = pytest.importorskip("torch")
+    backend = named_backend("torch:cpu")
+    backend.device = torch.device(
+        "meta"
+    )  # has shapes but no values; mixing it with the CPU raises, as a GPU would
+    monkeypatch.setattr(torch.Tensor, "__float__", lambda tensor: 1.0)  # the smoother asks when to stop
+    back = []
+
+    def shapes_alone(planes):
+        back.append(planes.device.type)
+        return np.zeros(planes.shape, np.float32)
+
+    monkeypatch.setattr(backend, "numpy", shapes_alone)
+    to_frame = method(preset("rgb", 140, 24), backend)(picture(30, 24, seed=1))  # two scales, every step
+    assert to_frame(picture(30, 24, seed=2)).displacement.shape == (30, 24, 2)
+    assert set(back) == {"meta"}
 
 
 # choosing one

@@ -71,7 +71,11 @@ class Backend(Protocol):
         ...
 
     def add_product(self, total: Planes, a: Planes, b: Planes) -> None:
-        """Add a * b to `total` (h, w) in place, summed over the first axis where a and b have three."""
+        """Add a * b to `total` in place, all (h, w)."""
+        ...
+
+    def dot(self, a: Planes, b: Planes) -> Planes:
+        """Sum a * b over the planes, (c, h, w) each, to (h, w)."""
         ...
 
 
@@ -142,11 +146,13 @@ class OpenCVBackend:
         return smooth
 
     def add_product(self, total: AnyArray, a: AnyArray, b: AnyArray) -> None:
-        if a.ndim == 2:
-            cv2.accumulateProduct(a, b, total)
-            return
-        for one, other in zip(a, b, strict=True):
+        cv2.accumulateProduct(a, b, total)
+
+    def dot(self, a: AnyArray, b: AnyArray) -> AnyArray:
+        total = a[0] * b[0]
+        for one, other in zip(a[1:], b[1:], strict=True):
             cv2.accumulateProduct(one, other, total)
+        return total
 
 
 def named_backend(name: str) -> Backend:

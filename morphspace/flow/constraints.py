@@ -92,7 +92,7 @@ def tensor(
     colours = shape[0]
     floors = channels.noise_floors(colours)
     mean = {key: reference[key] + frame[key] for key in reference if key != (0, 0)}
-    square = {key: _dot(backend, planes, planes) for key, planes in mean.items()}
+    square = {key: backend.dot(planes, planes) for key, planes in mean.items()}
     total = [xp.zeros_like(square[1, 0]) for _ in range(6)]
     for i, j in up_to(len(channels.weights) - 1):
         weight = channels.weights[i + j]
@@ -108,10 +108,10 @@ def tensor(
         products = (
             square[i + 1, j],
             square[i, j + 1],
-            _dot(backend, x, y),
-            _dot(backend, x, half_change),
-            _dot(backend, y, half_change),
-            _dot(backend, half_change, half_change),
+            backend.dot(x, y),
+            backend.dot(x, half_change),
+            backend.dot(y, half_change),
+            backend.dot(half_change, half_change),
         )
         for sum_, product in zip(total, products, strict=True):
             backend.add_product(sum_, per_px, product)
@@ -119,12 +119,6 @@ def tensor(
     total[4] *= 2
     total[5] *= 4
     return Tensor(*total)
-
-
-def _dot(backend: Backend, a: Planes, b: Planes) -> Planes:
-    out = backend.xp.zeros_like(a[0])
-    backend.add_product(out, a, b)
-    return out
 
 
 def _light_apart(backend: Backend, change: Planes, light_codes: float) -> tuple[Planes, Planes]:
@@ -140,8 +134,9 @@ def _light_apart(backend: Backend, change: Planes, light_codes: float) -> tuple[
     middle = xp.stack([xp.median(plane) for plane in thin])
     change = change - middle[:, None, None]
     cells = max(1, round(height / LIGHT_CELL_PX)), max(1, round(width / LIGHT_CELL_PX))
-    light = backend.resized(backend.averaged(change, *cells), height, width)
-    return change, xp.exp(-(light * light).sum(0) / (len(change) * light_codes**2))
+    light = backend.averaged(change, *cells)
+    agreement = xp.exp(-(light * light).sum(0) / (len(change) * light_codes**2))
+    return change, xp.clip(backend.resized(agreement[None], height, width)[0], 0, 1)
 
 
 @dataclass(frozen=True, eq=False)
@@ -160,7 +155,7 @@ def appearance(backend: Backend, derivatives: Derivatives, channels: Channels) -
     xp = backend.xp
     colours = len(derivatives[1, 0])
     floors = channels.noise_floors(colours)
-    xx, xy, yy = (_dot(backend, derivatives[key], derivatives[key]) for key in ((2, 0), (1, 1), (0, 2)))
+    xx, xy, yy = (backend.dot(derivatives[key], derivatives[key]) for key in ((2, 0), (1, 1), (0, 2)))
     per_px = xp.stack([1 / (xx + xy + floors[1, 0] / 4), 1 / (xy + yy + floors[0, 1] / 4)])
     return Appearance(xp.concatenate([derivatives[1, 0], derivatives[0, 1]]), per_px)
 
@@ -174,8 +169,8 @@ def mismatch(backend: Backend, reference: Appearance, slopes: Planes, x: Planes,
     xp = backend.xp
     difference = backend.looked_up(slopes, x, y) - reference.slopes
     colours = len(difference) // 2
-    square = _dot(backend, difference[:colours], difference[:colours]) * reference.per_px[0]
-    square += _dot(backend, difference[colours:], difference[colours:]) * reference.per_px[1]
+    square = backend.dot(difference[:colours], difference[:colours]) * reference.per_px[0]
+    square += backend.dot(difference[colours:], difference[colours:]) * reference.per_px[1]
     height, width = square.shape
     off = xp.clip(xp.sqrt(square), 0, MOST_MISMATCH_PX)
     off = xp.where(outside(x, y, height, width), MOST_MISMATCH_PX, off)

@@ -33,10 +33,11 @@ from morphspace.flow.constraints import (
 )
 from morphspace.flow.filters import gaussian_derivative
 from morphspace.flow.folds import unfolded
-from morphspace.flow.pairs import checked_pair, checked_picture, is_featureless, unknown_flow
+from morphspace.flow.pairs import checked_pair, checked_picture, unknown_flow
 
 CODES = 255.0  # the estimator thinks in 8-bit codes
 LUMA = np.array([0.299, 0.587, 0.114], np.float32)  # ITU-R BT.601
+LEAST_CONTRAST_CODES = 0.5
 MISSED_PX = 2.0
 LEAST_SIDE_PX = 16  # of the coarsest scale
 
@@ -104,15 +105,17 @@ def method(preset: Preset, backend: Backend | None = None) -> FlowMethod:
 def matcher(reference: Image, preset: Preset, backend: Backend) -> FlowFunction:
     """Prepare a reference (h, w, 3), and give the function that finds frames from it."""
     reference = checked_picture(reference, "the reference")
+    height, width = reference.shape[:2]
     planes = _colour_planes(reference, preset, backend)
+    empty = _is_flat(planes)
     levels = [_reference_level(scaled, preset, backend) for scaled in _pyramid(planes, preset, backend)]
 
     def to_frame(frame: Image, start: Displacement | None = None) -> Flow:
-        first, second = checked_pair(reference, frame)
-        if is_featureless(first) or is_featureless(second):
-            return unknown_flow(*first.shape[:2])
-        height, width = first.shape[:2]
-        target = _pyramid(_colour_planes(second, preset, backend), preset, backend)
+        _, frame = checked_pair(reference, frame)
+        planes = _colour_planes(frame, preset, backend)
+        if empty or _is_flat(planes):
+            return unknown_flow(height, width)
+        target = _pyramid(planes, preset, backend)
         field, trust, off = _matched(levels, target, preset, backend, start)
         field = _resized_field(field, height, width, backend)
         confidence = backend.resized((trust / (1 + off / MISSED_PX**2))[None], height, width)
@@ -126,6 +129,11 @@ def _colour_planes(image: Image, preset: Preset, backend: Backend) -> Planes:
     scaled = image * np.float32(CODES)
     planes = (scaled @ LUMA)[None] if preset.colours == "grey" else scaled.transpose(2, 0, 1)
     return backend.planes(planes)
+
+
+def _is_flat(planes: Planes) -> bool:
+    """Tell whether no plane varies by half a code: nothing can be found in such a picture."""
+    return all(float(plane.max() - plane.min()) < LEAST_CONTRAST_CODES for plane in planes)
 
 
 def _pyramid(planes: Planes, preset: Preset, backend: Backend) -> list[Planes]:

@@ -117,11 +117,13 @@ class TorchBackend:
         return smooth
 
     def add_product(self, total: Planes, a: Planes, b: Planes) -> None:
-        if a.ndim == 2:
-            total.addcmul_(a, b)
-            return
-        for one, other in zip(a, b, strict=True):
+        total.addcmul_(a, b)
+
+    def dot(self, a: Planes, b: Planes) -> Planes:
+        total = a[0] * b[0]
+        for one, other in zip(a[1:], b[1:], strict=True):
             total.addcmul_(one, other)
+        return total
 
     def _correlated(self, planes: Planes, kernel: AnyArray, axis: int) -> Planes:
         size = planes.shape[axis]
@@ -133,6 +135,8 @@ class TorchBackend:
         return out
 
     def _rescaled(self, planes: Planes, height: int, width: int, rule: str) -> Planes:
+        if planes.shape[1:] == (height, width):
+            return planes.clone()  # what is given back may be changed in place
         if width != planes.shape[2]:
             source, weight = self._table(rule, planes.shape[2], width)
             planes = (planes[:, :, source] * weight).sum(2)
