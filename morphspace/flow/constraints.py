@@ -82,7 +82,11 @@ class Tensor:
 
 
 def tensor(
-    backend: Backend, reference: Derivatives, frame: Derivatives, channels: Channels, shape: tuple[int, int, int]
+    backend: Backend,
+    reference: Derivatives,
+    frame: Derivatives,
+    channels: Channels,
+    shape: tuple[int, int, int],
 ) -> Tensor:
     """Sum the constraints of all channels; both pictures' half derivatives, the frame's after warping.
 
@@ -130,7 +134,9 @@ def _light_apart(backend: Backend, change: Planes, light_codes: float) -> tuple[
     xp = backend.xp
     height, width = change.shape[1:]
     thin = change[:, ::4, ::4].reshape(len(change), -1)
-    thin = thin[:, : thin.shape[1] - 1 + thin.shape[1] % 2]  # an odd count: numpy and torch agree on the median
+    thin = thin[
+        :, : thin.shape[1] - 1 + thin.shape[1] % 2
+    ]  # an odd count: numpy and torch agree on the median
     middle = xp.stack([xp.median(plane) for plane in thin])
     change = change - middle[:, None, None]
     cells = max(1, round(height / LIGHT_CELL_PX)), max(1, round(width / LIGHT_CELL_PX))
@@ -160,7 +166,9 @@ def appearance(backend: Backend, derivatives: Derivatives, channels: Channels) -
     return Appearance(xp.concatenate([derivatives[1, 0], derivatives[0, 1]]), per_px)
 
 
-def mismatch(backend: Backend, reference: Appearance, slopes: Planes, x: Planes, y: Planes, blur: Any) -> Planes:
+def mismatch(
+    backend: Backend, reference: Appearance, slopes: Planes, x: Planes, y: Planes, blur: Any
+) -> Planes:
     """Say how badly the point of a frame at (x, y) px looks like each pixel of the reference: (h, w) px.
 
     `slopes` (2 c, h, w) of the frame; `blur`, the kernel (n,) of the neighbourhood that is compared. Beyond the frame

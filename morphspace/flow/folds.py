@@ -12,7 +12,9 @@ import numpy as np
 from morphspace import warp
 from morphspace.arrays import Displacement
 
-LEAST_DETERMINANT = 0.05  # a cell pressed to less of its area counts as folded: rounding must not turn it over
+LEAST_DETERMINANT = (
+    0.05  # a cell pressed to less of its area counts as folded: rounding must not turn it over
+)
 FIRST_SD_PX = 1.0
 GROWTH = 1.3  # of the smoothing from round to round
 ROUNDS = 14  # the last smooths over 30 px: nothing an estimator makes outlasts it

@@ -12,12 +12,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from math import sqrt
+from math import ceil, sqrt
 from typing import Any, Literal
 
 import numpy as np
 
-from morphspace.arrays import Displacement, Image
+from morphspace.arrays import AnyArray, Displacement, Image
+from morphspace.errors import BadInput, SizeMismatch
 from morphspace.flow import Flow, FlowFunction, FlowMethod
 from morphspace.flow.backends import Backend, OpenCVBackend, Planes
 from morphspace.flow.constraints import (
@@ -31,14 +32,19 @@ from morphspace.flow.constraints import (
     outside,
     tensor,
 )
-from morphspace.flow.filters import gaussian_derivative
 from morphspace.flow.folds import unfolded
 from morphspace.flow.pairs import checked_pair, checked_picture, unknown_flow
 
 CODES = 255.0  # the estimator thinks in 8-bit codes
 LUMA = np.array([0.299, 0.587, 0.114], np.float32)  # ITU-R BT.601
 LEAST_CONTRAST_CODES = 0.5
-MISSED_PX = 2.0
+MISSED_PX = 4.0
+INVERSE_STEPS = 4
+WARPS_BACK = 2
+START_PX = 140
+SURROUNDINGS_PX = 1.5
+LEAST_BLUR_PX = 0.3
+CLEARLY, CLEARLY_PX = 0.9, 0.05
 LEAST_SIDE_PX = 16  # of the coarsest scale
 
 
@@ -73,16 +79,30 @@ class Preset:
     checked_px: int = 0
 
 
-@dataclass(frozen=True, eq=False)
-class Level:
-    """One scale of a picture: `planes` (c, h, w) codes."""
-
-    planes: Planes
-
-    @property
-    def size(self) -> tuple[int, int]:
-        height, width = self.planes.shape[1:]
-        return height, width
+ACCURATE = Preset(
+    colours="rgb",
+    finest=1.0,
+    factor=0.7,
+    warps=(2, 3, 4),
+    channels=Channels(weights=(0.3, 1.0, 1.0), sd_px=0.7, noise_codes=2.0, light_codes=3.0),
+    checked_px=140,
+)
+BALANCED = replace(ACCURATE, factor=0.5, warps=(1, 3), rounds=2, checked_px=70)
+FAST = replace(
+    ACCURATE,
+    colours="grey",
+    finest=0.5,
+    factor=0.5,
+    warps=(2,),
+    channels=replace(ACCURATE.channels, weights=(0.0, 1.0, 1.0)),
+    rounds=1,
+    smoothings=1,
+    strength=10.0,
+    rivals_px=0,
+    checked_px=0,
+)
+PRESETS = {"fast": FAST, "balanced": BALANCED, "accurate": ACCURATE}
+"""By name, the quickest first."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -116,13 +136,26 @@ def matcher(reference: Image, preset: Preset, backend: Backend) -> FlowFunction:
         if empty or _is_flat(planes):
             return unknown_flow(height, width)
         target = _pyramid(planes, preset, backend)
-        field, trust, off = _matched(levels, target, preset, backend, start)
+        given = None if start is None else backend.planes(_checked_start(start, height, width))
+        field, trust, off = _matched(levels, target, preset, backend, given)
         field = _resized_field(field, height, width, backend)
         confidence = backend.resized((trust / (1 + off / MISSED_PX**2))[None], height, width)
         displacement = unfolded(np.ascontiguousarray(backend.numpy(field).transpose(1, 2, 0)))
         return Flow(displacement, np.clip(backend.numpy(confidence)[0], 0, 1))
 
     return to_frame
+
+
+def _checked_start(start: Displacement, height: int, width: int) -> AnyArray:
+    """Give a start as (2, h, w). Raises where it is of another size or not finite."""
+    if start.shape != (height, width, 2):
+        raise SizeMismatch(
+            f"the start is a field of shape {start.shape}, the reference has {width}x{height} px: "
+            "give a field (h, w, 2) on the reference's grid"
+        )
+    if not np.isfinite(start).all():
+        raise BadInput("the start holds values that are not finite: mend it or leave it out")
+    return np.asarray(start, np.float32).transpose(2, 0, 1)
 
 
 def _colour_planes(image: Image, preset: Preset, backend: Backend) -> Planes:
@@ -152,8 +185,16 @@ def _pyramid(planes: Planes, preset: Preset, backend: Backend) -> list[Planes]:
 
 
 def _shrunk(planes: Planes, factor: float, height: int, width: int, backend: Backend) -> Planes:
-    blur = gaussian_derivative(0, max(0.5 * sqrt(1 / factor**2 - 1), 0.3), radius=3)
+    blur = _bell(max(0.5 * sqrt(1 / factor**2 - 1), LEAST_BLUR_PX))
     return backend.resized(backend.filtered(planes, blur, blur), height, width)
+
+
+def _bell(sd_px: float) -> AnyArray:
+    """Give a Gaussian (n,) that is nowhere negative: a weighted sum of squares must stay one."""
+    radius = ceil(2.5 * sd_px)
+    at = np.arange(-radius, radius + 1)
+    kernel = np.exp(-(at**2) / (2 * sd_px**2))
+    return kernel / kernel.sum()
 
 
 def _reference_level(planes: Planes, preset: Preset, backend: Backend) -> ReferenceLevel:
@@ -175,46 +216,57 @@ def _matched(
     target: Sequence[Planes],
     preset: Preset,
     backend: Backend,
-    start: Displacement | None,
+    start: Planes | None,
 ) -> tuple[Planes, Planes, Planes]:
     """Find the field at the finest level, the trust in it from the way back, and how far it still misses."""
     sizes = [max(level.planes.shape[1:]) for level in levels]
     checked = next((n for n, size in enumerate(sizes) if size <= preset.checked_px), len(levels))
-    trust: Any = None
     field: Any = None
+    trust: Any = None
     off: Any = None
     if checked < len(levels):
-        field, off = _descend(levels[checked:], target[checked:], None, None, preset, checked, backend)
-        back_levels = [_reference_level(planes, preset, backend) for planes in target[checked:]]
-        own = [level.planes for level in levels[checked:]]
-        back, _ = _descend(back_levels, own, None, None, preset, checked, backend)
-        trust = _agreement(field, back, levels[checked], backend)
+        field, off = _descend(levels, target, len(levels), checked, None, None, start, preset, backend)
+        trust = _trust(levels[checked], target[checked], field, sizes[0] / sizes[checked], preset, backend)
     if checked > 0:
-        field, off = _descend(levels[:checked], target[:checked], field, trust, preset, 0, backend)
+        field, off = _descend(
+            levels, target, min(checked, len(levels)), 0, field, trust, start, preset, backend
+        )
     height, width = field.shape[1:]
-    trust = backend.xp.ones_like(field[0]) if trust is None else backend.resized(trust[None], height, width)[0]
+    trust = backend.xp.ones_like(off) if trust is None else backend.resized(trust[None], height, width)[0]
     return field, trust, off
 
 
-def _agreement(field: Planes, back: Planes, level: ReferenceLevel, backend: Backend) -> Planes:
-    """Say how well the way there and the way back agree at each pixel, (h, w), 1 where they cancel."""
-    x, y = level.x + field[0], level.y + field[1]
-    missed = field + backend.looked_up(back, x, y)
+def _trust(
+    level: ReferenceLevel, target: Planes, field: Planes, px: float, preset: Preset, backend: Backend
+) -> Planes:
+    """Say how well the way back agrees with the field at each pixel, (h, w), 1 where they cancel.
+
+    The way back starts from the field's inverse and may then correct itself by the pictures; `px` is how many px of
+    the finest level one of this level is.
+    """
+    back_level = _reference_level(target, preset, backend)
+    back = -field
+    for _ in range(INVERSE_STEPS):
+        back = -backend.looked_up(field, level.x + back[0], level.y + back[1])
+    back, _ = _refined(back_level, level.planes, back, None, None, WARPS_BACK, preset, backend)
+    missed = px * (field + backend.looked_up(back, level.x + field[0], level.y + field[1]))
     return 1 / (1 + ((missed * missed).sum(0) / MISSED_PX**2) ** 2)
 
 
 def _descend(
     levels: Sequence[ReferenceLevel],
     target: Sequence[Planes],
+    above: int,
+    last: int,
     field: Planes | None,
     trust: Planes | None,
+    start: Planes | None,
     preset: Preset,
-    first: int,
     backend: Backend,
 ) -> tuple[Planes, Planes]:
-    """Refine a field through the levels given, coarsest last in the list and first in time."""
+    """Refine a field through the levels below number `above`, coarsest first, down to `last`."""
     off: Any = None
-    for number in reversed(range(len(levels))):
+    for number in reversed(range(last, above)):
         level = levels[number]
         height, width = level.planes.shape[1:]
         if field is None:
@@ -222,8 +274,9 @@ def _descend(
         else:
             field = _resized_field(field, height, width, backend)
         here = None if trust is None else backend.resized(trust[None], height, width)[0]
-        warps = preset.warps[min(first + number, len(preset.warps) - 1)]
-        field, off = _refined(level, target[number], field, here, warps, preset, backend)
+        rival = None if start is None else _resized_field(start, height, width, backend)
+        warps = preset.warps[min(number, len(preset.warps) - 1)]
+        field, off = _refined(level, target[number], field, here, rival, warps, preset, backend)
     return field, off
 
 
@@ -242,6 +295,7 @@ def _refined(
     target: Planes,
     field: Planes,
     trust: Planes | None,
+    start: Planes | None,
     warps: int,
     preset: Preset,
     backend: Backend,
@@ -252,10 +306,13 @@ def _refined(
     height, width = target.shape[1:]
     slopes: Any = None
     for number in range(warps):
-        if number == min(1, warps - 1) and max(height, width) <= preset.rivals_px:
+        rivalled = max(height, width) <= preset.rivals_px or (
+            start is not None and max(height, width) <= START_PX
+        )
+        if number == min(1, warps - 1) and rivalled:
             derivatives = half_derivatives(backend, target, replace(preset.channels, weights=(1.0,)))
             slopes = xp.concatenate([derivatives[1, 0], derivatives[0, 1]])
-            field = _with_rivals(level, slopes, field, preset, backend)
+            field = _with_rivals(level, slopes, field, start, preset, backend)
         x, y = level.x + field[0], level.y + field[1]
         warped = half_derivatives(backend, read(x, y), preset.channels)
         constraint = tensor(backend, level.derivatives, warped, preset.channels, tuple(target.shape))
@@ -281,13 +338,16 @@ def _step(
     """Move the field to where the robust constraints and the smoothness agree."""
     xp = backend.xp
     moved = field
-    blur = gaussian_derivative(0, preset.integration_px, radius=3) if preset.integration_px else None
+    blur = _bell(preset.integration_px) if preset.integration_px else None
     for _ in range(preset.rounds):
         change = moved - field
         off = constraint.residual(change[0], change[1])
         trust = seen / xp.sqrt(xp.clip(off, 0, None) + preset.robust_px**2)
         weighted = xp.stack(
-            [trust * part for part in (constraint.xx, constraint.yy, constraint.xy, constraint.xt, constraint.yt)]
+            [
+                trust * part
+                for part in (constraint.xx, constraint.yy, constraint.xy, constraint.xt, constraint.yt)
+            ]
         )
         if blur is not None:
             weighted = backend.filtered(weighted, blur, blur)
@@ -317,10 +377,15 @@ def _smoothed(level: ReferenceLevel, field: Planes, preset: Preset) -> Planes:
 
 
 def _with_rivals(
-    level: ReferenceLevel, slopes: Planes, field: Planes, preset: Preset, backend: Backend
+    level: ReferenceLevel,
+    slopes: Planes,
+    field: Planes,
+    start: Planes | None,
+    preset: Preset,
+    backend: Backend,
 ) -> Planes:
-    """Let each pixel take over the motion of one near by where its surroundings then look clearly more alike."""
-    blur = gaussian_derivative(0, 1.5, radius=4)
+    """Let each pixel take over the start, or the motion of a pixel near by, where that looks clearly more alike."""
+    blur = _bell(SURROUNDINGS_PX)
     xp = backend.xp
 
     def judged(candidate: Planes) -> Planes:
@@ -329,14 +394,21 @@ def _with_rivals(
         )
 
     least = judged(field)
+
+    def taken_over(rival: Planes, field: Planes, least: Planes) -> tuple[Planes, Planes]:
+        found = judged(rival)
+        better = found < CLEARLY * least - CLEARLY_PX
+        return xp.where(better, rival, field), xp.where(better, found, least)
+
+    if start is not None:
+        field, least = taken_over(start, field, least)
+    height, width = least.shape
+    if max(height, width) > preset.rivals_px:
+        return field
     step = preset.rival_step_px
     for _ in range(preset.rival_rounds):
         for right, down in ((0, step), (0, -step), (step, 0), (-step, 0)):
-            rival = _moved_over(field, right, down, xp)
-            found = judged(rival)
-            better = found < 0.9 * least
-            field = xp.where(better, rival, field)
-            least = xp.where(better, found, least)
+            field, least = taken_over(_moved_over(field, right, down, xp), field, least)
     return field
 
 
