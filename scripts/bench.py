@@ -2,11 +2,12 @@
 
     python scripts/bench.py SECTION... --data DIR [--judge PYTHON] [--work DIR] [--clips NAME...] [--rounds N]
 
-DIR holds sequences/NAME/frames/*.jpg (or set MORPHSPACE_DATA), and for the section `flow` also flow/SCENE and
-stills_london; PYTHON is the interpreter of the landmark judge (see scripts/landmark_judge.py). Sections that need no
-data: pca, render, open, warp, help, video. Times stand beside a peer in the same run; the ratios carry over to another
-machine, the times do not. Models and flow are kept in the work folder, so that a second section, or a second run with
-the same --work, does not make them again: empty it when the code changes.
+DIR holds sequences/NAME/frames/*.jpg (or set MORPHSPACE_DATA), and for the sections flow, flow-time and flow-ablation
+also flow/SCENE and stills_london; PYTHON is the interpreter of the landmark judge (see scripts/landmark_judge.py).
+Sections that need no data: pca, render, open, warp, help, video. Times stand beside a peer in the same run; the ratios
+carry over to another machine, the times do not. Run flow-time on a quiet machine. Models and flow are kept in the work
+folder, so that a second section, or a second run with the same --work, does not make them again: empty it when the
+code changes.
 """
 
 from __future__ import annotations
@@ -22,6 +23,8 @@ from pathlib import Path
 
 import bench_build
 import bench_flow
+import bench_flow_ablation
+import bench_flow_time
 import bench_landmarks
 import bench_quality
 import bench_speed
@@ -39,7 +42,12 @@ PACKAGES = (
     "scikit-learn",
     "OpenImageIO",
 )
-DATA_SECTIONS = ("roundtrip", "heldout", "landmarks", "ceiling", "build", "memory", "flow")
+FLOW_SECTIONS = (
+    "flow",
+    "flow-time",
+    "flow-ablation",
+)  # errors; times; what each part of the estimator is worth
+DATA_SECTIONS = ("roundtrip", "heldout", "landmarks", "ceiling", "build", "memory", *FLOW_SECTIONS)
 OTHER_SECTIONS = ("pca", "render", "open", "warp", "help", "video")
 BUILD_ROUNDS = 3  # at most; a build takes minutes
 
@@ -85,7 +93,11 @@ def run(section: str, arguments: argparse.Namespace, work: Path) -> None:
     elif section == "warp":
         bench_speed.inversion(rounds)
     elif section == "flow":
-        bench_flow.flow(data, rounds)
+        bench_flow.flow(data)
+    elif section == "flow-time":
+        bench_flow_time.flow_time(data, rounds)
+    elif section == "flow-ablation":
+        bench_flow_ablation.flow_ablation(data)
     elif section == "video":
         bench_video.video_form()
     else:

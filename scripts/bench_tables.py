@@ -49,6 +49,39 @@ def at_most(value: float, target: float) -> str:
     return "met" if value <= target else "MISSED"
 
 
+GOAL_HEADS = ("preset", "what", "landing", "goal", "measured", "best peer", "landing?", "goal?")
+
+
+def goal_row(
+    preset: str,
+    what: str,
+    value: float,
+    landing: float | None,
+    goal: float | None,
+    *,
+    peer: str = "",
+    digits: int = 3,
+) -> list[str]:
+    """Give a row under `GOAL_HEADS`: a figure that must not exceed a landing mark and a goal, and whether it does."""
+
+    def limit(target: float | None) -> str:
+        return "" if target is None else f"<= {target:.{digits}f}"
+
+    def verdict(target: float | None) -> str:
+        return "" if target is None else at_most(value, target)
+
+    return [
+        preset,
+        what,
+        limit(landing),
+        limit(goal),
+        f"{value:.{digits}f}",
+        peer,
+        verdict(landing),
+        verdict(goal),
+    ]
+
+
 def print_table(heads: Sequence[str], rows: Sequence[Sequence[object]]) -> None:
     """Print a Markdown table; numbers stand to the right."""
     cells = [[str(cell) for cell in row] for row in rows]

@@ -1,33 +1,32 @@
 """The estimators of the flow's benchmark, ours and those people use, and what is measured of each.
 
 The peers get what they take, grey 8-bit pictures, and run with the settings stated in `PEER_SETTINGS`; nothing is
-smoothed afterwards. Our presets get colour, and once more the grey picture in three channels.
+smoothed afterwards. Our presets get colour, and those that use it once more the grey picture in three channels.
 """
 
 from __future__ import annotations
 
-import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 
 import cv2
 import numpy as np
 from bench_clips import replaced
-from bench_tables import Work, tell
 from flow_truth import RealPair
 from skimage.registration import optical_flow_ilk, optical_flow_tvl1
+from threadpoolctl import threadpool_limits
 
 from morphspace import warp
 from morphspace.arrays import AnyArray, Displacement, Image
-from morphspace.flow import baselines
+from morphspace.flow import baselines, multiscale
 from morphspace.flow.baselines import LUMA, grey_codes
 from morphspace.flow.methods import METHODS
 from morphspace.measure import FlowErrors, flow_errors, forward_backward_px, photometric_rmse
 from morphspace.synthetic.warped import FlowPair
 
-PRESETS = ("fast", "balanced", "accurate", "paper")
-SLOW_ROUNDS = 3  # of a timing whose estimator takes seconds
+PRESETS = (*multiscale.PRESETS, "paper")
+COLOUR_PRESETS = tuple(name for name, preset in multiscale.PRESETS.items() if preset.colours == "rgb")
 BIAS = 0.05  # added to all of the frame, about 13 of 255 codes
 
 Prepared = Callable[[], Displacement]
@@ -39,6 +38,7 @@ Prepare = Callable[[Image, Image], Prepared]
 class Real:
     """What can be said of a flow between real pictures: grey levels, px, % of the cells; all inside the face mask."""
 
+    name: str
     rmse: float
     forward_backward_px: float
     folded_percent: float
@@ -128,10 +128,11 @@ def ours_grey(name: str) -> Prepare:
 
 
 def ours_further(name: str) -> Prepare:
-    """Give a preset on colour whose reference is prepared: what each further frame of a batch takes."""
+    """Give a preset on colour that has had a frame: what each further frame of a batch takes."""
 
     def prepare(reference: Image, frame: Image) -> Prepared:
         to_frame = METHODS[name](reference)
+        to_frame(frame, None)  # some of what is kept is made when first needed
         return lambda: to_frame(frame, None).displacement
 
     return prepare
@@ -147,21 +148,14 @@ def in_grey(name: str) -> str:
     return f"{name}, grey"
 
 
-def found_presets() -> tuple[str, ...]:
-    """Give the presets that exist, and say which do not."""
-    missing = [name for name in PRESETS if name not in METHODS]
-    if missing:
-        print(f"Not there yet, and left out: {', '.join(missing)}.\n")
-    return tuple(name for name in PRESETS if name in METHODS)
-
-
 @contextmanager
 def one_thread() -> Iterator[None]:
-    """Let OpenCV work on one thread for a while."""
+    """Let OpenCV and numpy work on one thread for a while."""
     threads = cv2.getNumThreads()
     cv2.setNumThreads(1)
     try:
-        yield
+        with threadpool_limits(limits=1):
+            yield
     finally:
         cv2.setNumThreads(threads)
 
@@ -181,6 +175,7 @@ def real_of(prepare: Prepare, pair: RealPair) -> Real:
     there, back = prepare(pair.reference, pair.frame)(), prepare(pair.frame, pair.reference)()
     weight = float(pair.mask.sum(dtype=np.float64))
     return Real(
+        name=pair.name,
         rmse=photometric_rmse(warp.sample(pair.frame, there) @ LUMA, pair.reference @ LUMA, pair.mask),
         forward_backward_px=float((forward_backward_px(there, back) * pair.mask).sum()) / weight,
         folded_percent=100 * warp.fold_fraction(there, pair.mask),
@@ -192,40 +187,3 @@ def bias_change(prepare: Prepare, pair: FlowPair) -> float:
     plain = prepare(pair.reference, pair.frame)()
     brighter = prepare(pair.reference, pair.frame + np.float32(BIAS))()
     return float(np.hypot(*np.moveaxis(brighter - plain, -1, 0)).mean())
-
-
-def cpu_seconds(works: Mapping[str, Work], rounds: int) -> dict[str, AnyArray]:
-    """Run each work once to warm up, then all in turn, `rounds` times; give the processor's seconds, (rounds,) each.
-
-    Processor time and not the clock on the wall: what else the machine does falls out.
-    """
-    for work in works.values():
-        work()
-    seconds: dict[str, list[float]] = {name: [] for name in works}
-    for _ in range(rounds):
-        for name, work in works.items():
-            start = time.process_time()
-            work()
-            seconds[name].append(time.process_time() - start)
-    return {name: np.array(found) for name, found in seconds.items()}
-
-
-def measured_times(
-    pair: FlowPair, presets: Sequence[str], rounds: int
-) -> tuple[dict[str, float], dict[str, float]]:
-    """Time all on one pair: (alone, each further frame) as multiples of DIS medium in the same round, by name."""
-    tell("flow: times")
-    everything = PEERS | {name: ours(name) for name in presets}
-    further = {f"{name}|further": ours_further(name) for name in presets}
-    works = {name: make(pair.reference, pair.frame) for name, make in (everything | further).items()}
-    quick = cpu_seconds({name: work for name, work in works.items() if name not in SLOW}, rounds)
-    slow = cpu_seconds({name: works[name] for name in (DIS, *SLOW)}, min(rounds, SLOW_ROUNDS))
-    ratios = {name: float(np.median(found / quick[DIS])) for name, found in quick.items()}
-    ratios |= {
-        name: float(np.median(found)) / float(np.median(quick[DIS]))
-        for name, found in slow.items()
-        if name != DIS
-    }
-    print(f"DIS medium took {1e3 * float(np.median(quick[DIS])):.1f} ms of one processor.\n")
-    alone = {name: ratios[name] for name in everything}
-    return alone, {name: ratios[f"{name}|further"] for name in presets}

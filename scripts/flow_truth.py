@@ -1,11 +1,13 @@
 """Pairs of pictures whose flow is known, or can be judged: what scripts/bench_flow.py measures and tuning looks at.
 
 Warped photographs (morphspace.synthetic.warped), Middlebury scenes, drawn actors and real pairs. What is tuned on and
-what is reported are kept apart by `part`: other London faces, other fields, other clips, other actors.
+what is reported are kept apart by `part`: other London faces, other fields, other clips, other actors. Two things are
+in both: the astronaut's photograph (with other fields), and the scenes, which have no parts.
 """
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
@@ -46,20 +48,21 @@ UPPER_LIP_EDGE, LOWER_LIP_EDGE = slice(94, 99), slice(99, 104)
 SIDE_IN_FACES = 3.2  # of the square, in distances from eyes to mouth: brow to below the chin
 
 # Clip, neutral frame with the lips nearly closed, frames of strong expression: chosen by eye, before any flow was seen.
+# "tune" has every clip of which any frame was used to tune the estimator; "report" has clips of which none was.
 REAL_PAIRS: dict[Part, tuple[tuple[str, int, tuple[int, ...]], ...]] = {
     "tune": (
         ("lp_d18", 34, (26, 46)),
         ("lp_d6", 0, (10, 42)),
+        ("lp_d13", 58, (34, 44)),
+        ("grid_pwij3p", 28, (10,)),
+        ("obama_a", 16, (26, 38)),
+    ),
+    "report": (
+        ("lp_d0", 4, (26,)),
+        ("lp_d3", 26, (42,)),
         ("lp_d9", 2, (10,)),
         ("grid_lbax4n", 28, (24,)),
         ("obama_b", 12, (20,)),
-    ),
-    "report": (
-        ("lp_d13", 58, (34, 44)),
-        ("lp_d0", 4, (26,)),
-        ("lp_d3", 26, (42,)),
-        ("grid_pwij3p", 28, (10,)),
-        ("obama_a", 16, (26, 38)),
     ),
 }
 REAL_SIZE = (256, 307)  # (w, h) px
@@ -90,15 +93,22 @@ class RealPair:
     mask: Mask
 
 
-def face_sets(data: Path, part: Part) -> dict[str, tuple[FlowPair, ...]]:
-    """Give the sets of warped photographs, six pairs each: the astronaut and five London faces of the data folder."""
+def face_sets(
+    data: Path, part: Part, titles: Collection[str] | None = None, size: int = FACE_SIZE
+) -> dict[str, tuple[FlowPair, ...]]:
+    """Give the sets of warped photographs, six pairs each: the astronaut and five London faces of the data folder.
+
+    Only the sets in `titles`, where given. `size` px a side; displacements grow with it.
+    """
     photographs = [("astronaut", *astronaut_face())]
     photographs += [(name, *london_face(data, name)) for name in STILLS[part]]
     sets = {}
     for title, kind, peak_px, seed in FACE_SETS:
-        first = SEEDS[part] + seed
+        if titles is not None and title not in titles:
+            continue
+        first, peak = SEEDS[part] + seed, peak_px * size / FACE_SIZE
         sets[title] = tuple(
-            flow_pair(image, marks, kind=kind, peak_px=peak_px, seed=first + place, size=FACE_SIZE, name=name)
+            flow_pair(image, marks, kind=kind, peak_px=peak, seed=first + place, size=size, name=name)
             for place, (name, image, marks) in enumerate(photographs)
         )
     return sets
@@ -126,7 +136,10 @@ def template_points(path: Path) -> Points:
 
 
 def scene_pairs(data: Path) -> tuple[FlowPair, ...]:
-    """Give the Middlebury scenes of the data folder, `flow/SCENE`; `visible` is where the truth is known."""
+    """Give the Middlebury scenes of the data folder, `flow/SCENE`; `visible` is where the truth is known.
+
+    They have no parts: the folder holds three, and the estimator was tuned on all of them.
+    """
     pairs = []
     for scene in find_scenes(data / "flow")[0]:
         stored = read_flow(scene.truth)
@@ -150,7 +163,7 @@ def drawn_pairs(part: Part) -> tuple[FlowPair, ...]:
 
 
 def real_pairs(data: Path, part: Part) -> tuple[RealPair, ...]:
-    """Give the seven real pairs of this part, at `REAL_SIZE`, registered by a similarity on brow to nose."""
+    """Give the real pairs of this part, at `REAL_SIZE`, registered by a similarity on brow to nose."""
     width, height = REAL_SIZE
     region, mask = faces.rigid_region(height, width), faces.face_mask(height, width)
     pairs = []

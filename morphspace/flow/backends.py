@@ -7,6 +7,7 @@ torch (`torch_backend`). Planes are (c, h, w) float32 throughout.
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Callable
 from types import ModuleType
 from typing import Any, Protocol
@@ -23,6 +24,7 @@ Planes = Any
 """(c, h, w) float32, a numpy array or a torch tensor, as the backend has it."""
 
 MEDIAN_PX = 5  # a side; OpenCV's largest for float32
+_CREATING = threading.Lock()
 
 
 class Backend(Protocol):
@@ -72,6 +74,10 @@ class Backend(Protocol):
 
     def add_product(self, total: Planes, a: Planes, b: Planes) -> None:
         """Add a * b to `total` in place, all (h, w)."""
+        ...
+
+    def middle(self, plane: Planes) -> Planes:
+        """Give the median of a plane (h, w); of an even count the last is left out, so that there is a middle one."""
         ...
 
     def dot(self, a: Planes, b: Planes) -> Planes:
@@ -135,12 +141,14 @@ class OpenCVBackend:
     def smoother(self, guide: AnyArray, strength: float, edge_codes: float) -> Callable[[AnyArray], AnyArray]:
         codes = np.clip(guide, 0, 255).astype(np.uint8)
         picture = codes[0] if len(codes) == 1 else np.ascontiguousarray(codes.transpose(1, 2, 0))
-        estimator = cv2.ximgproc.createFastGlobalSmootherFilter(picture, strength, edge_codes)
+        own = threading.local()  # the estimator writes into itself: one for each thread
 
         def smooth(planes: AnyArray) -> AnyArray:
+            if not hasattr(own, "estimator"):
+                own.estimator = _single_striped_smoother(picture, strength, edge_codes)
             out = np.empty_like(planes)
             for plane, target in zip(planes, out, strict=True):
-                target[...] = estimator.filter(plane)  # its dst comes back unwritten
+                target[...] = own.estimator.filter(plane)  # its dst comes back unwritten
             return out
 
         return smooth
@@ -148,11 +156,31 @@ class OpenCVBackend:
     def add_product(self, total: AnyArray, a: AnyArray, b: AnyArray) -> None:
         cv2.accumulateProduct(a, b, total)
 
+    def middle(self, plane: AnyArray) -> AnyArray:
+        values = plane.ravel()
+        half = (len(values) - 1) // 2
+        return np.partition(values[: 2 * half + 1], half)[half]
+
     def dot(self, a: AnyArray, b: AnyArray) -> AnyArray:
         total = a[0] * b[0]
         for one, other in zip(a[1:], b[1:], strict=True):
             cv2.accumulateProduct(one, other, total)
         return total
+
+
+def _single_striped_smoother(picture: AnyArray, strength: float, edge_codes: float) -> Any:
+    """Create OpenCV's smoother for work in one stripe.
+
+    It splits its work by the number of threads OpenCV has when it is created, and its last bits depend on where the
+    stripes end, hence on what other threads happen to do.
+    """
+    with _CREATING:
+        threads = cv2.getNumThreads()
+        cv2.setNumThreads(1)
+        try:
+            return cv2.ximgproc.createFastGlobalSmootherFilter(picture, strength, edge_codes)
+        finally:
+            cv2.setNumThreads(threads)
 
 
 def named_backend(name: str) -> Backend:

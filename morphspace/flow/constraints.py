@@ -11,10 +11,11 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cached_property
+from math import ceil
 from typing import Any
 
-import numpy as np
-
+from morphspace.arrays import AnyArray
 from morphspace.flow.backends import Backend, Planes
 from morphspace.flow.filters import gaussian_derivative, up_to
 
@@ -35,17 +36,20 @@ class Channels:
     noise_codes: float
     light_codes: float
 
-    @property
-    def kernels(self) -> list[Any]:
+    @cached_property
+    def kernels(self) -> tuple[AnyArray, ...]:
         """The Gaussian's derivatives of order 0, 1, ..., one more than the channels have."""
-        radius = max(3, int(np.ceil(4 * self.sd_px)))
-        return [gaussian_derivative(n, self.sd_px, radius=radius) for n in range(len(self.weights) + 1)]
+        radius = max(3, ceil(4 * self.sd_px))
+        return tuple(
+            gaussian_derivative(n, self.sd_px, radius=radius) for n in range(len(self.weights) + 1)
+        )
 
-    def noise_floors(self, colours: int) -> dict[tuple[int, int], float]:
-        """Give for each channel the squared slope that noise of `noise_codes` alone would have."""
+    @cached_property
+    def noise_floors(self) -> Mapping[tuple[int, int], float]:
+        """For each channel the squared slope that noise of `noise_codes` alone would have, in one colour."""
         energy = [float((kernel**2).sum()) for kernel in self.kernels]
         return {
-            (i, j): colours * self.noise_codes**2 * (energy[i + 1] * energy[j] + energy[i] * energy[j + 1])
+            (i, j): self.noise_codes**2 * (energy[i + 1] * energy[j] + energy[i] * energy[j + 1])
             for i, j in up_to(len(self.weights) - 1)
         }
 
@@ -94,7 +98,7 @@ def tensor(
     """
     xp = backend.xp
     colours = shape[0]
-    floors = channels.noise_floors(colours)
+    floors = channels.noise_floors
     mean = {key: reference[key] + frame[key] for key in reference if key != (0, 0)}
     square = {key: backend.dot(planes, planes) for key, planes in mean.items()}
     total = [xp.zeros_like(square[1, 0]) for _ in range(6)]
@@ -104,7 +108,7 @@ def tensor(
             continue
         x, y, half_change = mean[i + 1, j], mean[i, j + 1], frame[i, j] - reference[i, j]
         per_px = square[i + 1, j] + square[i, j + 1]
-        per_px += floors[i, j]
+        per_px += colours * floors[i, j]
         per_px = weight / per_px
         if i + j == 0:
             half_change, agreement = _light_apart(backend, half_change, channels.light_codes / 2)
@@ -126,23 +130,19 @@ def tensor(
 
 
 def _light_apart(backend: Backend, change: Planes, light_codes: float) -> tuple[Planes, Planes]:
-    """Take the change of light common to the picture out of a change (c, h, w), and say where the rest is no light.
+    """Take the change of light common to the picture out of a change (c, h, w), and say if the rest is no light.
 
-    The common part is the median, so that adding a constant to a picture alters nothing. Where the change has a mean
-    over `LIGHT_CELL_PX` that is beyond `light_codes`, the light has changed and raw values must not be compared.
+    The common part is the median, so that adding a constant to a picture alters nothing. What is left is averaged
+    over cells of `LIGHT_CELL_PX`. Under one light most cells keep their colour, even while a mouth opens in some; where
+    the median cell is off by `light_codes` or more the light has changed and raw values must not be compared.
     """
     xp = backend.xp
     height, width = change.shape[1:]
-    thin = change[:, ::4, ::4].reshape(len(change), -1)
-    thin = thin[
-        :, : thin.shape[1] - 1 + thin.shape[1] % 2
-    ]  # an odd count: numpy and torch agree on the median
-    middle = xp.stack([xp.median(plane) for plane in thin])
-    change = change - middle[:, None, None]
+    change = change - xp.stack([backend.middle(plane[::4, ::4]) for plane in change])[:, None, None]
     cells = max(1, round(height / LIGHT_CELL_PX)), max(1, round(width / LIGHT_CELL_PX))
     light = backend.averaged(change, *cells)
-    agreement = xp.exp(-(light * light).sum(0) / (len(change) * light_codes**2))
-    return change, xp.clip(backend.resized(agreement[None], height, width)[0], 0, 1)
+    off = backend.middle(xp.sqrt((light * light).sum(0) / len(change))) / light_codes
+    return change, xp.exp(-(off**4))
 
 
 @dataclass(frozen=True, eq=False)
@@ -160,9 +160,9 @@ def appearance(backend: Backend, derivatives: Derivatives, channels: Channels) -
     """Give the appearance of a picture from its half derivatives."""
     xp = backend.xp
     colours = len(derivatives[1, 0])
-    floors = channels.noise_floors(colours)
+    floors = channels.noise_floors
     xx, xy, yy = (backend.dot(derivatives[key], derivatives[key]) for key in ((2, 0), (1, 1), (0, 2)))
-    per_px = xp.stack([1 / (xx + xy + floors[1, 0] / 4), 1 / (xy + yy + floors[0, 1] / 4)])
+    per_px = xp.stack([1 / (xx + xy + colours * floors[1, 0] / 4), 1 / (xy + yy + colours * floors[0, 1] / 4)])
     return Appearance(xp.concatenate([derivatives[1, 0], derivatives[0, 1]]), per_px)
 
 

@@ -32,7 +32,8 @@ def unfolded(field: Displacement) -> Displacement:
         folded = warp.determinants(field) < LEAST_DETERMINANT
         if not folded.any():
             return field
-        touched = cv2.copyMakeBorder(folded.astype(np.float32), 0, 1, 0, 1, cv2.BORDER_REPLICATE)
+        corners = cv2.copyMakeBorder(folded.astype(np.float32), 0, 1, 0, 1, cv2.BORDER_CONSTANT, value=0)
+        touched = cv2.dilate(corners, np.ones((2, 2), np.uint8))  # all four of a cell
         reach = 2 * round(REACH_SD * sd_px) + 1
         near = cv2.dilate(touched, np.ones((reach, reach), np.uint8))
         near = cv2.GaussianBlur(near, (0, 0), sd_px, borderType=cv2.BORDER_REPLICATE)[..., None]

@@ -12,9 +12,11 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property, lru_cache
 from math import ceil, sqrt
 from typing import Any, Literal
 
+import cv2
 import numpy as np
 
 from morphspace.arrays import AnyArray, Displacement, Image
@@ -33,7 +35,7 @@ from morphspace.flow.constraints import (
     tensor,
 )
 from morphspace.flow.folds import unfolded
-from morphspace.flow.pairs import checked_pair, checked_picture, unknown_flow
+from morphspace.flow.pairs import checked_frame, checked_picture, unknown_flow
 
 CODES = 255.0  # the estimator thinks in 8-bit codes
 LUMA = np.array([0.299, 0.587, 0.114], np.float32)  # ITU-R BT.601
@@ -42,6 +44,7 @@ MISSED_PX = 4.0
 INVERSE_STEPS = 4
 WARPS_BACK = 2
 START_PX = 140
+COARSE_PX = 160
 SURROUNDINGS_PX = 1.5
 LEAST_BLUR_PX = 0.3
 CLEARLY, CLEARLY_PX = 0.9, 0.05
@@ -77,6 +80,17 @@ class Preset:
     rival_step_px: int = 3
     rival_rounds: int = 2
     checked_px: int = 0
+    coarse_light: float = 6.0
+
+    @cached_property
+    def coarse_channels(self) -> Channels:
+        """The channels at coarse scales: order 0 weighs `coarse_light`."""
+        return replace(self.channels, weights=(self.coarse_light, *self.channels.weights[1:]))
+
+    @cached_property
+    def slope_channels(self) -> Channels:
+        """The channels that first derivatives alone need."""
+        return replace(self.channels, weights=(1.0,))
 
 
 ACCURATE = Preset(
@@ -84,22 +98,30 @@ ACCURATE = Preset(
     finest=1.0,
     factor=0.7,
     warps=(2, 3, 4),
-    channels=Channels(weights=(0.3, 1.0, 1.0), sd_px=0.7, noise_codes=2.0, light_codes=3.0),
+    channels=Channels(weights=(0.15, 1.0, 1.0), sd_px=0.7, noise_codes=2.0, light_codes=2.0),
     checked_px=140,
 )
-BALANCED = replace(ACCURATE, factor=0.5, warps=(1, 3), rounds=2, checked_px=70)
+BALANCED = replace(
+    ACCURATE,
+    factor=0.5,
+    warps=(1, 3),
+    channels=replace(ACCURATE.channels, weights=(1.0, 1.0, 1.0)),
+    rounds=2,
+    checked_px=70,
+)
 FAST = replace(
     ACCURATE,
     colours="grey",
     finest=0.5,
     factor=0.5,
-    warps=(2,),
+    warps=(2, 2, 1),
     channels=replace(ACCURATE.channels, weights=(0.0, 1.0, 1.0)),
     rounds=1,
     smoothings=1,
     strength=10.0,
     rivals_px=0,
     checked_px=0,
+    coarse_light=2.0,
 )
 PRESETS = {"fast": FAST, "balanced": BALANCED, "accurate": ACCURATE}
 """By name, the quickest first."""
@@ -131,7 +153,7 @@ def matcher(reference: Image, preset: Preset, backend: Backend) -> FlowFunction:
     levels = [_reference_level(scaled, preset, backend) for scaled in _pyramid(planes, preset, backend)]
 
     def to_frame(frame: Image, start: Displacement | None = None) -> Flow:
-        _, frame = checked_pair(reference, frame)
+        frame = checked_frame(reference, frame)
         planes = _colour_planes(frame, preset, backend)
         if empty or _is_flat(planes):
             return unknown_flow(height, width)
@@ -153,15 +175,18 @@ def _checked_start(start: Displacement, height: int, width: int) -> AnyArray:
             f"the start is a field of shape {start.shape}, the reference has {width}x{height} px: "
             "give a field (h, w, 2) on the reference's grid"
         )
-    if not np.isfinite(start).all():
+    with np.errstate(over="ignore"):  # what float32 cannot hold becomes infinite, and is refused
+        field = np.asarray(start, np.float32)
+    if not np.isfinite(field).all():
         raise BadInput("the start holds values that are not finite: mend it or leave it out")
-    return np.asarray(start, np.float32).transpose(2, 0, 1)
+    return field.transpose(2, 0, 1)
 
 
 def _colour_planes(image: Image, preset: Preset, backend: Backend) -> Planes:
-    scaled = image * np.float32(CODES)
-    planes = (scaled @ LUMA)[None] if preset.colours == "grey" else scaled.transpose(2, 0, 1)
-    return backend.planes(planes)
+    """Give the planes the preset compares, in codes."""
+    mixing = LUMA[None] if preset.colours == "grey" else np.eye(3, dtype=np.float32)
+    mixed = cv2.transform(image, mixing * np.float32(CODES))
+    return backend.planes(mixed[None] if mixed.ndim == 2 else mixed.transpose(2, 0, 1))
 
 
 def _is_flat(planes: Planes) -> bool:
@@ -189,6 +214,7 @@ def _shrunk(planes: Planes, factor: float, height: int, width: int, backend: Bac
     return backend.resized(backend.filtered(planes, blur, blur), height, width)
 
 
+@lru_cache(maxsize=64)
 def _bell(sd_px: float) -> AnyArray:
     """Give a Gaussian (n,) that is nowhere negative: a weighted sum of squares must stay one."""
     radius = ceil(2.5 * sd_px)
@@ -304,26 +330,24 @@ def _refined(
     read = backend.sampler(target)
     dual = xp.zeros_like(field)
     height, width = target.shape[1:]
-    slopes: Any = None
+    channels = preset.coarse_channels if max(height, width) <= COARSE_PX else preset.channels
     for number in range(warps):
         rivalled = max(height, width) <= preset.rivals_px or (
             start is not None and max(height, width) <= START_PX
         )
         if number == min(1, warps - 1) and rivalled:
-            derivatives = half_derivatives(backend, target, replace(preset.channels, weights=(1.0,)))
+            derivatives = half_derivatives(backend, target, preset.slope_channels)
             slopes = xp.concatenate([derivatives[1, 0], derivatives[0, 1]])
             field = _with_rivals(level, slopes, field, start, preset, backend)
         x, y = level.x + field[0], level.y + field[1]
         warped = half_derivatives(backend, read(x, y), preset.channels)
-        constraint = tensor(backend, level.derivatives, warped, preset.channels, tuple(target.shape))
+        constraint = tensor(backend, level.derivatives, warped, channels, tuple(target.shape))
         seen = xp.where(outside(x, y, height, width), 0.0, xp.ones_like(x))
         if trust is not None:
             seen = seen * trust
         moved, dual = _step(level, constraint, seen, field, dual, preset, backend)
-        change = moved - field
-        off = constraint.residual(change[0], change[1])
-        field = backend.median(moved)
-    return field, off
+        change, field = moved - field, backend.median(moved)
+    return field, constraint.residual(change[0], change[1])
 
 
 def _step(

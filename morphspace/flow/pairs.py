@@ -39,10 +39,10 @@ def checked_picture(picture: Image, name: str) -> Image:
         raise BadInput(
             f"{name} has {width}x{height} px: a flow needs at least {MIN_SIDE_PX} on each side; use a larger picture"
         )
-    bad = int(np.count_nonzero(~np.isfinite(values)))
-    if bad:
+    largest = max(abs(float(values.max())), abs(float(values.min())))  # NaN and infinity come through both
+    if not np.isfinite(largest):
+        bad = int(np.count_nonzero(~np.isfinite(values)))
         raise BadInput(f"{name} holds {bad} values that are not finite: mend it and save it again")
-    largest = float(np.abs(values).max())
     if largest > LARGEST_VALUE:
         raise BadInput(
             f"{name} holds values up to {largest:.3g}: an image's values lie near [0, 1]; scale them first"
@@ -57,13 +57,21 @@ def checked_pair(
 
     Raises `SizeMismatch`, a `BadInput`, where their sizes differ.
     """
-    one, other = checked_picture(reference, names[0]), checked_picture(frame, names[1])
+    one = checked_picture(reference, names[0])
+    return one, checked_frame(one, frame, names)
+
+
+def checked_frame(
+    reference: Image, frame: Image, names: tuple[str, str] = ("the reference", "the frame")
+) -> Image:
+    """Give a frame (h, w, 3) of the size of a reference that was checked before; see `checked_pair`."""
+    one, other = reference, checked_picture(frame, names[1])
     if one.shape != other.shape:
         raise SizeMismatch(
             f"{names[0]} has {one.shape[1]}x{one.shape[0]} px, {names[1]} has {other.shape[1]}x{other.shape[0]}: "
             "scale or crop them to one size"
         )
-    return one, other
+    return other
 
 
 def is_featureless(image: Image) -> bool:

@@ -116,6 +116,10 @@ class TorchBackend:
 
         return smooth
 
+    def middle(self, plane: Planes) -> Planes:
+        values = plane.reshape(-1)
+        return torch.median(values[: 2 * ((len(values) - 1) // 2) + 1])
+
     def add_product(self, total: Planes, a: Planes, b: Planes) -> None:
         total.addcmul_(a, b)
 

@@ -1,0 +1,282 @@
+"""Laws of the constraints: distances in px that no contrast changes, and raw values only where the light agrees."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.testing import assert_allclose, assert_array_equal
+
+from morphspace.flow.backends import OpenCVBackend
+from morphspace.flow.constraints import (
+    MOST_MISMATCH_PX,
+    Channels,
+    appearance,
+    half_derivatives,
+    mismatch,
+    outside,
+    tensor,
+)
+from morphspace.flow.filters import gaussian_derivative, up_to
+
+CV = OpenCVBackend()
+HEIGHT, WIDTH = 64, 72
+CODES = 255.0
+ORDER_0 = Channels(weights=(1.0,), sd_px=0.7, noise_codes=2.0, light_codes=3.0)
+ORDERS_12 = Channels(weights=(0.0, 1.0, 1.0), sd_px=0.7, noise_codes=1e-3, light_codes=3.0)
+ALL = Channels(weights=(0.3, 1.0, 1.0), sd_px=0.7, noise_codes=2.0, light_codes=3.0)
+PARTS = ("xx", "yy", "xy", "xt", "yt", "tt")
+INNER = np.s_[8:-8, 8:-8]  # beyond the reach of the filters from the edge
+
+
+def codes_of(image):
+    """The planes (c, h, w) of a picture (h, w, c)."""
+    return np.ascontiguousarray(image.transpose(2, 0, 1) * np.float32(CODES))
+
+
+def between(one, other, channels):
+    """The tensor of two pictures (c, h, w)."""
+    halves = (half_derivatives(CV, np.float32(planes), channels) for planes in (one, other))
+    return tensor(CV, *halves, channels, one.shape)
+
+
+def waves(right=0.0, down=0.0, seed=0):
+    """Three colours of five waves (3, h, w), none shorter than 14 px, with their content this far right and down."""
+    rng = np.random.default_rng(seed)
+    y, x = np.mgrid[:HEIGHT, :WIDTH].astype(np.float64)
+    planes = np.full((3, HEIGHT, WIDTH), 128.0)
+    for plane in planes:
+        for turn, length, phase in rng.uniform((0, 14, 0), (2 * np.pi, 30, 2 * np.pi), (5, 3)):
+            along = (x - right) * np.cos(turn) + (y - down) * np.sin(turn)
+            plane += 15 * np.sin(2 * np.pi * along / length + phase)
+    return planes
+
+
+# the quadratic
+
+
+@settings(max_examples=30, deadline=None, derandomize=True)
+@given(
+    st.integers(16, 40),
+    st.integers(16, 40),
+    st.sampled_from([1, 3]),
+    st.floats(-3, 3),
+    st.integers(0, 99),
+    st.sampled_from([ORDER_0, ORDERS_12, ALL]),
+)
+def test_no_motion_misses_by_less_than_nothing(height, width, colours, contrast, seed, channels):
+    rng = np.random.default_rng(seed)
+    one, other = CODES * 10.0**contrast * rng.standard_normal((2, colours, height, width))
+    found = between(one, other, channels)
+    du, dv = (10.0 * rng.standard_normal((2, height, width))).astype(np.float32)
+    scale = found.xx * du**2 + found.yy * dv**2 + found.tt + 1
+    assert (found.residual(du, dv) >= -1e-5 * scale).all()  # float32 takes differences here
+    assert (found.xx * found.yy - found.xy**2 >= -1e-5 * (found.xx + found.yy) ** 2).all()
+
+
+@pytest.mark.parametrize("motion", [(0.5, 0.0), (0.0, -0.5), (0.3, 0.4), (-0.6, 0.2)])
+def test_the_true_motion_misses_by_nothing(motion):
+    # the mean slope over a step s is right to (k s)^2 / 12 of it: 0.6 % for the shortest wave
+    found = between(waves(), waves(*motion), ORDERS_12)
+    at_rest = found.residual(np.float32(0), np.float32(0))[INNER]
+    at_truth = found.residual(*np.float32(motion))[INNER]
+    assert at_rest.mean() > 0.5 * np.hypot(*motion) ** 2  # px^2
+    assert at_truth.mean() < 1e-4 * at_rest.mean()
+    assert found.residual(*-np.float32(motion))[INNER].mean() > 3 * at_rest.mean()
+
+
+def test_the_quadratic_is_least_at_the_true_motion():
+    motion = np.array([0.4, -0.3])
+    found = between(waves(), waves(*motion), ALL)
+    xx, yy, xy, xt, yt = (getattr(found, part)[INNER].sum(dtype=float) for part in PARTS[:5])
+    solved = np.linalg.solve([[xx, xy], [xy, yy]], [-xt, -yt])
+    assert_allclose(solved, motion, atol=0.01)  # px; order 0 has lost the median of its change
+
+
+def test_equal_pictures_are_off_by_the_motion_alone():
+    found = between(waves(), waves(), ORDERS_12)
+    for part in ("xt", "yt", "tt"):
+        assert_array_equal(getattr(found, part), 0)
+    # five channels, each a distance along its own slope: along all directions half of it
+    length = found.residual(np.float32(1), np.float32(0)) + found.residual(np.float32(0), np.float32(1))
+    assert_allclose(length[INNER], 5, rtol=1e-3)
+
+
+def test_channels_add_up():
+    one, other = waves(), waves(0.4, 0.2)
+    both = between(one, other, ALL)
+    zero = between(one, other, replace(ALL, weights=(0.3, 0.0, 0.0)))
+    rest = between(one, other, replace(ALL, weights=(0.0, 1.0, 1.0)))
+    for part in PARTS:
+        sum_ = getattr(zero, part) + getattr(rest, part)
+        assert_allclose(getattr(both, part), sum_, atol=1e-5)
+        assert np.abs(getattr(rest, part) - sum_).max() > 0.01
+
+
+def test_an_order_of_weight_zero_is_as_if_it_were_not_there():
+    one, other = waves(), waves(0.4, 0.2)
+    short, long = (
+        between(one, other, replace(ALL, weights=weights)) for weights in ((0.3, 1.0), (0.3, 1.0, 0.0))
+    )
+    for part in PARTS:
+        assert_array_equal(getattr(short, part), getattr(long, part))
+
+
+@pytest.mark.parametrize("contrast", [0.25, 4.0])
+def test_contrast_cancels(contrast):
+    one, other = waves(), waves(0.4, 0.2)
+    before = between(one, other, ORDERS_12)
+    after = between(contrast * one, contrast * other, ORDERS_12)
+    for part in PARTS:  # but where a slope is no longer than the noise floor
+        apart = np.abs(getattr(after, part) - getattr(before, part))
+        assert np.quantile(apart, 0.99) < 5e-3  # px^2
+
+
+@pytest.mark.parametrize("contrast", [0.25, 4.0])
+def test_contrast_and_noise_cancel_exactly(contrast):
+    one, other = waves(), waves(0.4, 0.2)
+    for weights in ((1.0,), (0.0, 1.0), (0.3, 1.0, 1.0)):
+        channels = replace(ALL, weights=weights)
+        louder = replace(
+            channels,
+            noise_codes=contrast * channels.noise_codes,
+            light_codes=contrast * channels.light_codes,
+        )
+        before, after = between(one, other, channels), between(contrast * one, contrast * other, louder)
+        for part in PARTS:
+            assert_allclose(getattr(after, part), getattr(before, part), rtol=1e-5, atol=1e-6)
+
+
+def test_noise_counts_less_than_texture():
+    rng = np.random.default_rng(0)
+    channels = replace(ORDERS_12, noise_codes=2.0)
+    noise = 2.0 * rng.standard_normal((3, HEIGHT, WIDTH))
+    strengths = []
+    for planes in (0.2 * noise, noise, 20 * noise):
+        found = between(planes, planes, channels)
+        strengths.append((found.xx + found.yy)[INNER].mean() / 5)  # of a channel
+    assert strengths[0] < 0.05
+    assert 0.4 < strengths[1] < 0.5  # slopes as long as the floor in the mean: a channel counts half
+    assert strengths[2] > 0.95
+
+
+def test_the_noise_floor_is_the_slope_noise_has():
+    rng = np.random.default_rng(1)
+    noise = 4.0 * rng.standard_normal((2, 400, 400)).astype(np.float32)
+    channels = replace(ALL, noise_codes=4.0)
+    halves = half_derivatives(CV, noise, channels)
+    for (i, j), floor in channels.noise_floors(2).items():
+        energy = 4 * sum(float((halves[key] ** 2).sum(0).mean()) for key in ((i + 1, j), (i, j + 1)))
+        assert energy == pytest.approx(floor, rel=0.05)
+
+
+def test_a_colour_without_contrast_adds_no_noise():
+    one, other = waves()[:1], waves(0.4, 0.2)[:1]
+    flat = np.full_like(one, 80.0)
+    alone = between(one, other, ORDERS_12)
+    beside = between(np.concatenate([one, flat]), np.concatenate([other, flat]), ORDERS_12)
+    for part in PARTS:
+        apart = np.abs(getattr(beside, part) - getattr(alone, part))
+        assert np.quantile(apart, 0.99) < 5e-3  # px^2; the floor itself is that of two colours
+
+
+def test_halves_of_two_derivatives_add_up_to_their_mean():
+    y, x = np.mgrid[:HEIGHT, :WIDTH].astype(np.float32)
+    one, other = (half_derivatives(CV, plane[None], ALL) for plane in (3 * x + 5 * y, x - 7 * y))
+    assert set(one) == set(up_to(3))
+    for key, mean in (((1, 0), 2.0), ((0, 1), -1.0), ((1, 1), 0.0)):
+        assert_allclose((one[key] + other[key])[0][INNER], mean, atol=1e-3)
+
+
+# order 0
+
+
+def test_order_0_does_not_see_a_constant():
+    one, other = waves(), waves(0.4, 0.2)
+    before, after = (between(one, other + constant, ORDER_0) for constant in (0.0, 40.0))
+    assert before.xx[INNER].mean() > 0.2
+    for part in PARTS:
+        assert_allclose(getattr(after, part), getattr(before, part), atol=1e-4)
+
+
+@pytest.mark.parametrize("axis", [0, 1])
+def test_a_change_of_light_switches_order_0_off(axis):
+    one = waves()
+    ramp = 60 * np.linspace(-1, 1, one.shape[1 + axis])  # codes
+    ramp = ramp[:, None] if axis == 0 else ramp[None]
+    before, after = between(one, one, ORDER_0), between(one, one + ramp, ORDER_0)
+    assert (before.xx + before.yy)[INNER].mean() > 0.8
+    assert np.quantile((after.xx + after.yy)[INNER], 0.8) < 0.05
+    for part in ("xt", "yt", "tt"):
+        assert np.quantile(np.abs(getattr(after, part))[INNER], 0.8) < 0.05
+
+
+def test_motion_alone_leaves_order_0_on():
+    found = between(waves(), waves(0.4, 0.2), ORDER_0)
+    assert (found.xx + found.yy)[INNER].mean() > 0.6
+
+
+def test_the_other_orders_do_not_ask_for_the_light():
+    one, other = waves(), waves(0.4, 0.2)
+    y, _ = np.mgrid[:HEIGHT, :WIDTH]
+    ramp = 2.0 * y  # codes; over 100 in all
+    before, after = between(one, other, ORDERS_12), between(one, other + ramp, ORDERS_12)
+    # second derivatives see no ramp, and first ones a constant: what is left of the strength is all of it
+    strength = (after.xx + after.yy)[INNER] / (before.xx + before.yy)[INNER]
+    assert_allclose(strength, 1, atol=1e-3)
+
+
+# looks
+
+
+def looks_of(planes, channels=ALL):
+    derivatives = half_derivatives(CV, np.float32(planes), channels)
+    return appearance(CV, derivatives, channels)
+
+
+BLUR = gaussian_derivative(0, 1.5, radius=4)
+
+
+def looked_at(reference, frame, right, down):
+    y, x = np.mgrid[:HEIGHT, :WIDTH].astype(np.float32)
+    return mismatch(
+        CV, looks_of(reference), looks_of(frame).slopes, x + np.float32(right), y + np.float32(down), BLUR
+    )
+
+
+def test_a_picture_looks_like_itself_and_unlike_where_it_is_not(picture):
+    planes = codes_of(picture(HEIGHT, WIDTH, seed=3, sd_px=2.5))
+    assert_allclose(looked_at(planes, planes, 0, 0), 0, atol=1e-4)
+    for right, down in ((1, 0), (0, -1)):
+        step = looked_at(planes, planes, right, down)[INNER]
+        assert 0.3 < np.median(step) < 1.5  # px: about one, more along edges less
+    assert np.median(looked_at(planes, planes, 9, 7)[INNER]) > 1.5
+
+
+def test_a_moved_picture_looks_like_itself_where_it_went(picture):
+    canvas = codes_of(picture(HEIGHT + 8, WIDTH + 8, seed=4, sd_px=2.5))
+    one, other = canvas[:, 4:-4, 4:-4], canvas[:, 6:-2, 1:-7]  # content goes 3 right, 2 up
+    inside = np.s_[10:-10, 10:-10]
+    assert looked_at(one, other, 3, -2)[inside].max() < 1e-3
+    assert np.median(looked_at(one, other, -3, 2)[inside]) > 1.5
+
+
+def test_a_constant_light_does_not_change_the_looks(picture):
+    planes = codes_of(picture(HEIGHT, WIDTH, seed=3, sd_px=2.5))
+    assert_allclose(looked_at(planes, planes + 30, 0, 0), 0, atol=1e-3)
+
+
+def test_beyond_the_frame_nothing_looks_alike(picture):
+    planes = codes_of(picture(HEIGHT, WIDTH, seed=3, sd_px=2.5))
+    found = looked_at(planes, planes, WIDTH, 0)
+    assert_allclose(found, MOST_MISMATCH_PX, rtol=1e-5)
+    with np.errstate(all="ignore"):
+        found = looked_at(planes, planes, np.inf, 0)
+    assert_allclose(found, MOST_MISMATCH_PX, rtol=1e-5)
+
+
+def test_the_outside_begins_beyond_the_outermost_pixel_centres():
+    x = np.array([[0, -0.01, 8, 8.01, 4, 4]], np.float32)
+    y = np.array([[0, 3, 5, 3, 5.01, -0.01]], np.float32)
+    assert_array_equal(outside(x, y, 6, 9), [[False, True, False, True, True, True]])
