@@ -13,8 +13,8 @@ from flow_estimators import Prepare, Prepared, one_thread, real_of
 from flow_truth import RealPair, face_sets, real_pairs, scene_pairs
 
 from morphspace.arrays import Image
-from morphspace.flow import multiscale
-from morphspace.flow.multiscale import Preset
+from morphspace.flow import multiscale, presets
+from morphspace.flow.presets import Preset
 from morphspace.measure import flow_errors
 from morphspace.synthetic.warped import FlowPair
 
@@ -65,9 +65,9 @@ def flow_ablation(data: Path) -> None:
     rows = []
     with one_thread():
         for name in BASES:
-            base = measured(multiscale.PRESETS[name], faces, scenes, real if name in WITH_REAL else ())
+            base = measured(presets.PRESETS[name], faces, scenes, real if name in WITH_REAL else ())
             rows.append(_row(name, "none", base, base))
-            for change, preset in variants(multiscale.PRESETS[name]):
+            for change, preset in variants(presets.PRESETS[name]):
                 tell(f"flow-ablation: {name}, {change}")
                 found = measured(preset, faces, scenes, real if name in WITH_REAL else ())
                 rows.append(_row(name, change, found, base))

@@ -19,14 +19,14 @@ from threadpoolctl import threadpool_limits
 
 from morphspace import warp
 from morphspace.arrays import AnyArray, Displacement, Image
-from morphspace.flow import baselines, multiscale
+from morphspace.flow import baselines, presets
 from morphspace.flow.baselines import LUMA, grey_codes
 from morphspace.flow.methods import METHODS
 from morphspace.measure import FlowErrors, flow_errors, forward_backward_px, photometric_rmse
 from morphspace.synthetic.warped import FlowPair
 
-PRESETS = (*multiscale.PRESETS, "paper")
-COLOUR_PRESETS = tuple(name for name, preset in multiscale.PRESETS.items() if preset.colours == "rgb")
+PRESETS = (*presets.PRESETS, "paper")
+COLOUR_PRESETS = tuple(name for name, preset in presets.PRESETS.items() if preset.colours == "rgb")
 BIAS = 0.05  # added to all of the frame, about 13 of 255 codes
 
 Prepared = Callable[[], Displacement]

@@ -13,7 +13,8 @@ from morphspace.errors import BadInput
 from morphspace.flow.backends import OpenCVBackend, named_backend
 from morphspace.flow.constraints import Channels
 from morphspace.flow.filters import gaussian_derivative
-from morphspace.flow.multiscale import Preset, method
+from morphspace.flow.multiscale import method
+from morphspace.flow.presets import Preset
 from morphspace.synthetic.warped import astronaut_face, flow_pair
 
 CV = OpenCVBackend()

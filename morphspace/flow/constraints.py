@@ -1,4 +1,4 @@
-"""What two pictures say about motion at each pixel: many derivative channels, each a distance in px, summed to a tensor.
+"""What two pictures say about motion at each pixel: many derivative channels, each a distance in px, in one tensor.
 
 Each derivative (i, j) of the image gives its own motion constraint, X du + Y dv + T = 0 with X and Y its slopes in the
 mean of both pictures and T its change. Divided by its slope a constraint is a distance in px in which the picture's
@@ -40,9 +40,7 @@ class Channels:
     def kernels(self) -> tuple[AnyArray, ...]:
         """The Gaussian's derivatives of order 0, 1, ..., one more than the channels have."""
         radius = max(3, ceil(4 * self.sd_px))
-        return tuple(
-            gaussian_derivative(n, self.sd_px, radius=radius) for n in range(len(self.weights) + 1)
-        )
+        return tuple(gaussian_derivative(n, self.sd_px, radius=radius) for n in range(len(self.weights) + 1))
 
     @cached_property
     def noise_floors(self) -> Mapping[tuple[int, int], float]:
@@ -162,7 +160,9 @@ def appearance(backend: Backend, derivatives: Derivatives, channels: Channels) -
     colours = len(derivatives[1, 0])
     floors = channels.noise_floors
     xx, xy, yy = (backend.dot(derivatives[key], derivatives[key]) for key in ((2, 0), (1, 1), (0, 2)))
-    per_px = xp.stack([1 / (xx + xy + colours * floors[1, 0] / 4), 1 / (xy + yy + colours * floors[0, 1] / 4)])
+    per_px = xp.stack(
+        [1 / (xx + xy + colours * floors[1, 0] / 4), 1 / (xy + yy + colours * floors[0, 1] / 4)]
+    )
     return Appearance(xp.concatenate([derivatives[1, 0], derivatives[0, 1]]), per_px)
 
 

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from morphspace.errors import BadInput
-from morphspace.flow import FlowMethod, baselines, multiscale, paper
+from morphspace.flow import FlowMethod, baselines, multiscale, paper, presets
 from morphspace.flow.names import DEFAULT, NAMES
 
 METHODS: dict[str, FlowMethod] = {
-    **{name: multiscale.method(preset) for name, preset in multiscale.PRESETS.items()},
+    **{name: multiscale.method(preset) for name, preset in presets.PRESETS.items()},
     "paper": paper.method,
     "deepflow": baselines.stock(baselines.deepflow),
     "dis": baselines.stock(baselines.dis),

@@ -11,10 +11,10 @@ lower lip, too small to be seen at the scale at which the jaw is found, follows 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
-from functools import cached_property, lru_cache
+from dataclasses import dataclass
+from functools import lru_cache
 from math import ceil, sqrt
-from typing import Any, Literal
+from typing import Any
 
 import cv2
 import numpy as np
@@ -25,7 +25,6 @@ from morphspace.flow import Flow, FlowFunction, FlowMethod
 from morphspace.flow.backends import Backend, OpenCVBackend, Planes
 from morphspace.flow.constraints import (
     Appearance,
-    Channels,
     Derivatives,
     Tensor,
     appearance,
@@ -36,95 +35,29 @@ from morphspace.flow.constraints import (
 )
 from morphspace.flow.folds import unfolded
 from morphspace.flow.pairs import checked_frame, checked_picture, unknown_flow
+from morphspace.flow.presets import Preset
 
 CODES = 255.0  # the estimator thinks in 8-bit codes
 LUMA = np.array([0.299, 0.587, 0.114], np.float32)  # ITU-R BT.601
-LEAST_CONTRAST_CODES = 0.5
-MISSED_PX = 4.0
-INVERSE_STEPS = 4
-WARPS_BACK = 2
-START_PX = 140
-COARSE_PX = 160
-SURROUNDINGS_PX = 1.5
-LEAST_BLUR_PX = 0.3
-CLEARLY, CLEARLY_PX = 0.9, 0.05
+LEAST_CONTRAST_CODES = (
+    0.5  # between the darkest and the brightest value of a plane; below it there is nothing to find
+)
 LEAST_SIDE_PX = 16  # of the coarsest scale
-
-
-@dataclass(frozen=True, eq=False)
-class Preset:
-    """Everything that can be chosen about the estimator.
-
-    `colours`: the planes that are compared; `finest`, the share of the full size at which the last scale works;
-    `factor` between scales; `warps` a scale, finest first, the last number for all coarser ones; `channels`;
-    `robust_px`, residuals above it count less and less; `coupling` of the pixelwise solve to the smooth field;
-    `strength` and `edge_codes` of the smoother; `rounds` of robust weights a warp and `alternations` in each;
-    `rivals_px`, up to which size neighbours' motions are tried, `rival_step_px` how far away and `rival_rounds` how often;
-    `checked_px`, the size at which forward and backward flow are compared (0: not at all).
-    """
-
-    colours: Literal["grey", "rgb"]
-    finest: float
-    factor: float
-    warps: tuple[int, ...]
-    channels: Channels
-    robust_px: float = 0.05
-    coupling: float = 0.4
-    strength: float = 30.0
-    edge_codes: float = 10.0
-    integration_px: float = 1.0
-    rounds: int = 3
-    alternations: int = 1
-    smoothings: Literal[1, 2] = 2
-    rivals_px: int = 140
-    rival_step_px: int = 3
-    rival_rounds: int = 2
-    checked_px: int = 0
-    coarse_light: float = 6.0
-
-    @cached_property
-    def coarse_channels(self) -> Channels:
-        """The channels at coarse scales: order 0 weighs `coarse_light`."""
-        return replace(self.channels, weights=(self.coarse_light, *self.channels.weights[1:]))
-
-    @cached_property
-    def slope_channels(self) -> Channels:
-        """The channels that first derivatives alone need."""
-        return replace(self.channels, weights=(1.0,))
-
-
-ACCURATE = Preset(
-    colours="rgb",
-    finest=1.0,
-    factor=0.7,
-    warps=(2, 3, 4),
-    channels=Channels(weights=(0.15, 1.0, 1.0), sd_px=0.7, noise_codes=2.0, light_codes=2.0),
-    checked_px=140,
+LEAST_BLUR_PX = 0.3  # before scaling down
+COARSE_PX = (
+    160  # the longer side of scales at which raw values lead: lips are a few px there, their colour is seen
 )
-BALANCED = replace(
-    ACCURATE,
-    factor=0.5,
-    warps=(1, 3),
-    channels=replace(ACCURATE.channels, weights=(1.0, 1.0, 1.0)),
-    rounds=2,
-    checked_px=70,
+START_PX = 140  # the longer side up to which a start is tried
+SURROUNDINGS_PX = 1.5  # sd of the neighbourhood by which a rival is judged
+CLEARLY, CLEARLY_PX = (
+    0.9,
+    0.05,
+)  # a rival must look better by this share and this much: equals would add noise
+INVERSE_STEPS = 4  # to the first guess of the way back, which is then refined
+WARPS_BACK = 2
+MISSED_PX = (
+    4.0  # of the way there and back, or of the channels, at which confidence is a half and falls off fast
 )
-FAST = replace(
-    ACCURATE,
-    colours="grey",
-    finest=0.5,
-    factor=0.5,
-    warps=(2, 2, 1),
-    channels=replace(ACCURATE.channels, weights=(0.0, 1.0, 1.0)),
-    rounds=1,
-    smoothings=1,
-    strength=10.0,
-    rivals_px=0,
-    checked_px=0,
-    coarse_light=2.0,
-)
-PRESETS = {"fast": FAST, "balanced": BALANCED, "accurate": ACCURATE}
-"""By name, the quickest first."""
 
 
 @dataclass(frozen=True, eq=False)
