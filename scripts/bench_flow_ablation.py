@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 from bench_tables import print_table, tell
 from flow_estimators import Prepare, Prepared, one_thread, real_of
-from flow_truth import RealPair, face_sets, real_pairs, scene_pairs
+from flow_truth import REAL_PAIRS, RealPair, face_sets, real_pairs, scene_pairs
 
 from morphspace.arrays import Image
 from morphspace.flow import multiscale, presets
@@ -20,13 +20,9 @@ from morphspace.synthetic.warped import FlowPair
 
 BASES = ("balanced", "accurate")
 WITH_REAL = ("balanced",)  # the real pairs cost as much again
-ORDERS = {  # weights of order 0, 1, ...
-    "order 0": (1.0, 0.0),  # a second order of no weight: rivals are judged by second derivatives
-    "orders 0-1": (0.3, 1.0),
-    "orders 0-2": (0.3, 1.0, 1.0),
-    "orders 0-3": (0.3, 1.0, 1.0, 1.0),
-    "orders 1-2": (0.0, 1.0, 1.0),
-}
+HIGHEST_ORDERS = (0, 1, 2, 3)
+LEAST_ORDERS = 2  # rivals are judged by second derivatives, which orders 0 and 1 need
+COARSE_LIGHTS = (0.0, 2.0, 6.0)
 SDS_PX = (0.5, 0.7, 0.85, 1.0)
 FACTORS = (0.5, 0.7, 0.8)
 WARPS = ((1, 2), (1, 3), (2, 3), (2, 3, 4), (3, 4, 5))
@@ -52,11 +48,12 @@ def flow_ablation(data: Path) -> None:
     print("## Flow: what each part is worth\n")
     print(
         'One thing changed at a time; mean end-point errors (px) on the part "tune" of the faces (six pairs a set) and '
-        "on the three scenes, both of which the presets were tuned on. `faces x`: the error over the preset's, "
-        "geometric mean of the face sets; above 1 the part pays. Orders: weights scaled so that all channels together "
-        "weigh as much as in the preset. Robust weights off: all residuals weigh as one of the stated size does in the "
-        "preset. Real pairs: RMSE / forward-backward px / folds %, nine, of the tune part. ms: processor time "
-        "of a face pair, rough.\n"
+        "on the three scenes: what the presets were tuned on. `faces x`: the error over the preset's, geometric mean "
+        "of the face sets; above 1 the change costs accuracy. Orders: order 0 weighs as in the preset and each other "
+        "1, then all are scaled to weigh as much together as in the preset. Coarse: the weight of order 0 at coarse "
+        "scales. Robust weights off: all residuals weigh as one of the stated size does in the preset. Real pairs: "
+        f"RMSE / forward-backward px / folds %, {sum(len(strong) for *_, strong in REAL_PAIRS['tune'])} pairs of the "
+        "tune part. ms: processor time of a face pair, rough.\n"
     )
     faces = face_sets(data, "tune")
     scenes = scene_pairs(data)
@@ -98,12 +95,12 @@ def variants(base: Preset) -> Iterator[tuple[str, Preset]]:
 
 def _all_variants(base: Preset) -> Iterator[tuple[str, Preset]]:
     channels = base.channels
-    for name, weights in ORDERS.items():
-        scale = _together(channels.weights) / _together(weights)
-        scaled = tuple(scale * weight for weight in weights)
-        if weights == channels.weights:
-            scaled = weights  # free of rounding
-        yield name, replace(base, channels=replace(channels, weights=scaled))
+    for highest in HIGHEST_ORDERS:
+        name = f"orders 0-{highest}" if highest else "order 0"
+        yield name, _with_orders(base, (channels.weights[0], *(1.0,) * highest))
+    yield "orders 1-2", replace(_with_orders(base, (0.0, 1.0, 1.0)), coarse_light=0.0)
+    for weight in COARSE_LIGHTS:
+        yield f"coarse order 0: {weight:g}", replace(base, coarse_light=weight)
     for sd_px in SDS_PX:
         yield f"sd {sd_px:g} px", replace(base, channels=replace(channels, sd_px=sd_px))
     for factor in FACTORS:
@@ -126,6 +123,18 @@ def _all_variants(base: Preset) -> Iterator[tuple[str, Preset]]:
         name = f"way back checked at {checked_px} px" if checked_px else "way back not checked"
         yield name, replace(base, checked_px=checked_px)
     yield "grey", replace(base, colours="grey")
+
+
+def _with_orders(base: Preset, weights: tuple[float, ...]) -> Preset:
+    """Give the preset with other weights of the orders, scaled so that all channels weigh as much as before."""
+    channels = base.channels
+    if weights == channels.weights:
+        return base
+    scale = _together(channels.weights) / _together(weights)
+    scaled = tuple(scale * weight for weight in weights)
+    if len(scaled) < LEAST_ORDERS:
+        scaled = (*scaled, *(0.0,) * (LEAST_ORDERS - len(scaled)))
+    return replace(base, channels=replace(channels, weights=scaled))
 
 
 def _together(weights: Sequence[float]) -> float:

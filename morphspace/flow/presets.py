@@ -63,7 +63,7 @@ ACCURATE = Preset(
     finest=1.0,
     factor=0.7,
     warps=(2, 3, 4),
-    channels=Channels(weights=(0.15, 1.0, 1.0), sd_px=0.7, noise_codes=2.0, light_codes=2.0),
+    channels=Channels(weights=(0.15, 1.0, 1.0), sd_px=0.7, noise_codes=2.0, light_codes=1.5),
     checked_px=140,
 )
 BALANCED = replace(
