@@ -17,8 +17,9 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from morphspace import __version__
+from morphspace.cli_flow import flow_options
 from morphspace.errors import BadInput, MorphspaceError
-from morphspace.flow.names import DEFAULT, NAMES, STOCK
+from morphspace.flow.names import DEFAULT, NAMES
 
 if TYPE_CHECKING:
     from morphspace.progress import Step, Steps
@@ -363,36 +364,7 @@ def sweep(model: Path, **options: Any) -> Steps[Outcome]:
 
 
 @main.command("flow")
-@click.argument("pictures", nargs=-1, type=click.Path(path_type=Path), metavar="A B")
-@click.option(
-    "-o",
-    "--output",
-    type=click.Path(path_type=Path),
-    help="The field: .flo (Middlebury), or .exr with its confidence. With --bench: the table (.csv), optional.",
-)
-@click.option(
-    "--preset",
-    "presets",
-    type=click.Choice(NAMES),
-    multiple=True,
-    default=(DEFAULT,),
-    show_default=True,
-    help=f"The estimator; {', '.join(STOCK)} are stock ones, for comparison. With --bench: give several.",
-)
-@click.option(
-    "--both", is_flag=True, help="Find B to A as well (OUTPUT.back.flo), and the error there and back."
-)
-@click.option(
-    "--picture", type=click.Path(path_type=Path), help="Draw it: colours, warped grid, B warped back (.png)."
-)
-@click.option(
-    "--start", type=click.Path(path_type=Path), help="A field on A's grid to start from (.flo, .exr)."
-)
-@click.option(
-    "--bench",
-    type=click.Path(path_type=Path),
-    help="Instead of A B: a folder of scenes with true flow, in Middlebury's layout; prints errors and times.",
-)
+@flow_options
 @verb
 def flow(**options: Any) -> Steps[Outcome]:
     """Find where each point of picture A is found in picture B, in px on A's grid."""

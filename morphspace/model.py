@@ -112,7 +112,7 @@ class MorphModel:
     @cached_property
     def flow_from_reference(self) -> FlowFunction:
         """The flow by the build's method, its reference prepared on first use and kept: the costly half is shared."""
-        return methods.named(self.flow)(self.reference)
+        return methods.for_morphs(self.flow)(self.reference)
 
     def align(self, image: Image, name: str = "image") -> Frame:
         """Bring an image (h, w, 3) of the model's size to the reference, as the build did with its frames."""

@@ -9,9 +9,12 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Callable, Generator, Iterable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
+from threading import Lock
 from typing import TypeVar
 
+import cv2
 from threadpoolctl import threadpool_limits
 
 Item = TypeVar("Item")
@@ -43,15 +46,50 @@ def result_of(steps: Generator[Step, None, Result], on_step: Callable[[Step], No
             on_step(step)
 
 
+class _SingleThreads:
+    """Keeps the threads inside BLAS and OpenCV at one while anybody asks for it, and gives back what was before.
+
+    Both limits are the whole process's. Loops may overlap, and end in another order than they began: each setting back
+    what it had found would leave the limit of one that is over. So the first sets it and the last one out undoes it.
+    """
+
+    def __init__(self) -> None:
+        self._lock = Lock()
+        self._asking = 0
+        self._undo = ExitStack()
+
+    @contextmanager
+    def asked(self) -> Iterator[None]:
+        """Hold the limit for a block."""
+        with self._lock:
+            if self._asking == 0:
+                self._undo.enter_context(threadpool_limits(limits=1, user_api="blas"))
+                self._undo.callback(cv2.setNumThreads, cv2.getNumThreads())
+                cv2.setNumThreads(1)
+            self._asking += 1
+        try:
+            yield
+        finally:
+            with self._lock:
+                self._asking -= 1
+                if self._asking == 0:
+                    self._undo.close()
+
+
+_SINGLE_THREADS = _SingleThreads()
+
+
 def in_order(
     work: Callable[[Item], Result], items: Iterable[Item], workers: int = WORKERS
 ) -> Iterator[Result]:
     """Do `work` on the items in several threads and give the results in the items' order.
 
-    Only a few items are under way at a time, so memory does not grow with their number. Matrix products inside the work
-    run on one thread each: on a busy machine BLAS threads that wait for each other made an encoding ten times slower.
+    Only a few items are under way at a time, so memory does not grow with their number. Matrix products and OpenCV's
+    filters inside the work run on one thread each: on a busy machine BLAS threads that wait for each other made an
+    encoding ten times slower, and some of OpenCV's results depend in their last bits on how many threads share a
+    picture.
     """
-    with threadpool_limits(limits=1, user_api="blas"), ThreadPoolExecutor(workers) as pool:
+    with _SINGLE_THREADS.asked(), ThreadPoolExecutor(workers) as pool:
         pending: deque[Future[Result]] = deque()
         try:
             for item in items:

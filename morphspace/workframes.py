@@ -29,7 +29,7 @@ from morphspace.progress import Step, Steps, in_order
 from morphspace.storage import digest_of_array, digest_of_json, read_container, write_container
 
 FRAME_FORMAT = "morphspace-work-frame-2"
-FLOW_VERSION = 1  # raise it when any flow method gives another field: kept frames are then made again
+FLOW_VERSION = 2  # raise it when any flow method gives another field: kept frames are then made again
 KEY_DIGITS = 32  # of the digest in a file's name
 
 FrameStart = Literal["coarse to fine", "neighbour"]
@@ -85,7 +85,7 @@ def frame_steps(source: FrameSource, plan: FramePlan, work_folder: Path) -> Step
 
     A generator of steps. Raises `BadInput` for a frame of another size than the reference.
     """
-    find = methods.named(plan.flow)(plan.reference)
+    find = methods.for_morphs(plan.flow)(plan.reference)
     files = yield from _first_pass(source, plan, find, work_folder)
     if plan.start == "auto" and plan.flow not in starts.WITHOUT_START:
         files = yield from _second_pass(plan, find, files)

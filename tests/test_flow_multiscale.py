@@ -13,6 +13,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from morphspace import warp
 from morphspace.errors import BadInput, SizeMismatch
+from morphspace.flow import multiscale
 from morphspace.flow.backends import OpenCVBackend
 from morphspace.flow.methods import METHODS
 from morphspace.flow.names import OURS
@@ -145,7 +146,8 @@ def test_a_constant_added_to_the_frame_changes_nothing(name, constant):
     change = apart(
         field_of(name, pair.reference, pair.frame + np.float32(constant)), found(name).displacement
     )
-    assert np.quantile(change, 0.98) < 1e-3  # px
+    assert np.median(change) < 1e-4  # px
+    assert np.quantile(change, 0.95) < 1e-3
     assert change.max() < 0.05  # two motions that look alike to rounding are exchanged
 
 
@@ -199,6 +201,15 @@ def test_colour_tells_what_grey_does_not(picture):
     reference, frame = image[3:67, 3:67], image[3:67, 1:65]
     for name in ("balanced", "accurate"):
         assert_allclose(np.median(field_of(name, reference, frame), axis=(0, 1)), (2, 0), atol=0.05)
+
+
+def test_a_field_scales_with_its_picture():
+    field = np.float32((2, 3))[:, None, None] * np.ones((1, 10, 20), np.float32)
+    scaled = multiscale._resized_field(field, 40, 30, OpenCVBackend())
+    assert scaled.shape == (2, 40, 30)
+    assert_allclose(scaled[0], 3, rtol=1e-5)
+    assert_allclose(scaled[1], 12, rtol=1e-5)
+    assert_array_equal(field[1], 3)
 
 
 # starts
@@ -308,12 +319,12 @@ def test_threads_give_the_bytes_of_one(name):
 def test_a_smoother_serves_threads_at_once():
     rng = np.random.default_rng(0)
     backend = OpenCVBackend()
-    guide = 255 * rng.random((3, 70, 62), np.float32)  # neither side a multiple of what is done in one go
+    guide = 255 * rng.random((3, 210, 166), np.float32)  # neither side a multiple of what is done in one go
     smooth = backend.smoother(guide, 30.0, 10.0)
-    planes = [rng.random((2, 70, 62), np.float32) for _ in range(6)]
+    planes = [rng.random((2, 210, 166), np.float32) for _ in range(6)]
     alone = [smooth(each) for each in planes]
     with ThreadPoolExecutor(3) as pool:
-        for _ in range(20):
+        for _ in range(5):
             for one, other in zip(alone, pool.map(smooth, planes), strict=True):
                 assert_array_equal(other, one)
 

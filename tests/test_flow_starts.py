@@ -2,11 +2,11 @@
 
 import numpy as np
 import pytest
-from numpy.testing import assert_array_equal
+from numpy.testing import assert_allclose, assert_array_equal
 
 from morphspace import warp
 from morphspace.errors import BadInput
-from morphspace.flow import Flow, starts
+from morphspace.flow import Flow, multiscale, presets, starts
 from morphspace.flow.starts import CLEARLY, FOLD_LIMIT, HARD, better, photometric_error
 
 HEIGHT, WIDTH = 80, 64
@@ -132,3 +132,145 @@ def test_an_unknown_start_is_refused_and_the_others_listed():
         starts.check_start("previous")
     starts.check_start("auto")
     starts.check_start("none")
+
+
+def test_the_best_start_is_the_one_whose_flow_explains_the_frame(moved):
+    reference, frame, truth = moved
+    asked = []
+
+    def to_frame(given, start=None):
+        assert given is frame
+        asked.append(start)
+        return flow_of(0.3 * truth if start is None else start)
+
+    name, flow = starts.best_start(
+        to_frame, reference, frame, {"none": None, "half": 0.5 * truth, "all": truth}
+    )
+    assert name == "all" and len(asked) == 3
+    assert_array_equal(flow.displacement, truth)
+    broken = folded(truth, 16)
+    assert starts.best_start(to_frame, reference, frame, {"none": None, "folds": broken})[0] == "none"
+    lower = MASK.copy()
+    lower[: HEIGHT // 2] = 0
+    choice = {"none": None, "lower": truth * lower[..., None]}
+    assert starts.best_start(to_frame, reference, frame, choice, lower)[0] == "lower"
+    assert starts.best_start(to_frame, reference, frame, choice, 1 - lower)[0] == "none"
+
+
+# the spline through landmarks
+
+
+def landmarks(seed, count=40, margin=-4, height=HEIGHT, width=WIDTH):
+    """Points all over the picture and a little beyond, each 4 px from the next or more."""
+    rng = np.random.default_rng(seed)
+    points = []
+    while len(points) < count:
+        point = rng.uniform([margin, margin], [width - margin, height - margin])
+        if all(np.hypot(*(point - other)) >= 4 for other in points):
+            points.append(point)
+    return np.array(points)
+
+
+def exact_spline(places, moves, points):
+    """The spline by its definition: r^2 log r about every place and an affine, the moves met, no net pull."""
+
+    def bends(points):
+        square = ((points[:, None] - places) ** 2).sum(axis=2)
+        return 0.5 * square * np.log(np.where(square > 0, square, 1))
+
+    def flat(points):
+        return np.hstack([np.ones((len(points), 1)), points])
+
+    system = np.block([[bends(places), flat(places)], [flat(places).T, np.zeros((3, 3))]])
+    weights = np.linalg.solve(system, np.vstack([moves, np.zeros((3, 2))]))
+    return np.hstack([bends(points), flat(points)]) @ weights
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_the_spline_goes_through_its_landmarks(seed):
+    places = landmarks(seed, margin=2)
+    fellows = places + np.random.default_rng(seed).normal(0, 2, places.shape)
+    field = starts.landmark_spline(places, fellows, HEIGHT, WIDTH)
+    assert field.shape == (HEIGHT, WIDTH, 2) and field.dtype == np.float32
+    off = np.hypot(*(warp.move_points(field, places) - fellows).T)
+    assert off.max() < 0.3 and np.median(off) < 0.05  # px: the field is read linearly between pixels
+    on_pixels = np.unique(np.round(places), axis=0)
+    fellows = on_pixels + np.random.default_rng(seed).normal(0, 2, on_pixels.shape)
+    field = starts.landmark_spline(on_pixels, fellows, HEIGHT, WIDTH)
+    assert_allclose(warp.move_points(field, on_pixels), fellows, atol=1e-3)  # px
+
+
+@pytest.mark.parametrize("count", [3, 5, 40])
+@pytest.mark.parametrize(("height", "width"), [(HEIGHT, WIDTH), (61, 163)])
+def test_the_quick_evaluation_is_the_spline_itself(count, height, width):
+    places = landmarks(count, count, height=height, width=width)
+    moves = np.random.default_rng(count).normal(0, 3, places.shape)
+    y, x = np.mgrid[:height, :width]
+    truth = exact_spline(places, moves, np.stack([x.ravel(), y.ravel()], axis=1)).reshape(height, width, 2)
+    field = starts.landmark_spline(places, places + moves, height, width)
+    assert np.hypot(*(field - truth).transpose(2, 0, 1)).max() < 0.05  # px
+
+
+def test_landmarks_moved_by_an_affine_give_that_affine_everywhere():
+    affine = np.array([[1.1, -0.2, 5.0], [0.15, 0.9, -3.0]])
+    for places in (landmarks(1, 12), np.array([[10.0, 10.0], [50.0, 12.0], [30.0, 60.0]])):
+        field = starts.landmark_spline(places, warp.apply_affine(affine, places), HEIGHT, WIDTH)
+        assert_allclose(field, warp.affine_displacement(affine, HEIGHT, WIDTH), atol=1e-3)  # px
+
+
+def test_landmarks_that_did_not_move_give_no_motion():
+    places = landmarks(2)
+    assert not starts.landmark_spline(places, places, HEIGHT, WIDTH).any()
+
+
+def test_landmarks_at_one_place_go_to_the_mean_of_theirs():
+    places = np.round(landmarks(3, 12, margin=4))
+    twice = np.vstack([places, places[:1]])
+    apart = np.vstack([places + 1, places[:1] + 3])
+    field = starts.landmark_spline(twice, apart, HEIGHT, WIDTH)
+    assert_allclose(warp.move_points(field, places[:1]), places[:1] + 2, atol=1e-3)
+    assert_allclose(warp.move_points(field, places[1:]), places[1:] + 1, atol=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("places", "fellows", "mentioned"),
+    [
+        ([[1, 2], [30, 4], [9, 50]], [[1, 2], [30, 4]], "reference has 3 landmarks, the frame 2"),
+        ([[1, 2], [30, 4]], [[1, 2], [30, 4]], "reference are at 2 places.* at least 3"),
+        ([[1, 2], [30, 4], [1, 2.2]], [[1, 2], [30, 4], [9, 50]], "reference are at 2 places"),
+        ([[1, 2], [30, 4], [9, 50]], [[1, 2], [30, 4], [1, 2]], "frame are at 2 places"),
+        ([[0, 0], [10, 10.1], [30, 30], [50, 50]], [[1, 2], [30, 4], [9, 50], [4, 4]], "4 .*reference .*line"),
+        ([[1, 2], [30, 4], [9, 50]], [[0, 0], [10, 10], [30, 30]], "frame lie on one line"),
+        ([[1, 2], [30, np.nan], [9, 50]], [[1, 2], [30, 4], [9, 50]], "reference .*not finite"),
+        ([[1, 2], [30, 4], [9, 50]], [[1, 2], [30, 4], [9, np.inf]], "frame .*not finite"),
+        ([[1, 2, 3]], [[1, 2, 3]], r"\(1, 3\)"),
+        ([1, 2], [1, 2], r"\(2,\)"),
+        (np.zeros((0, 2)), np.zeros((0, 2)), "at 0 places"),
+    ],
+)
+def test_landmarks_that_make_no_spline_are_refused(places, fellows, mentioned):
+    with pytest.raises(BadInput, match=mentioned):
+        starts.landmark_spline(np.array(places), np.array(fellows), HEIGHT, WIDTH)
+
+
+def test_a_movement_larger_than_the_search_is_found_from_landmarks(picture):
+    """A patch that moves too far for coarse to fine alone; what landmarks are for."""
+    height, width, far_px = 160, 160, 44
+    still = picture(height, width, seed=2, sd_px=12.0)
+    patch = 0.2 * picture(24, 24, seed=5, sd_px=1.5) + np.array([0.75, 0.05, 0.05], np.float32)
+    reference, frame = still.copy(), still.copy()
+    reference[60:84, 40:64] = patch
+    frame[60:84, 40 + far_px : 64 + far_px] = patch
+    corners = np.array([[0, 0], [159, 0], [0, 159], [159, 159]], float)
+    inner = np.array([[x, y] for x in (42, 52, 62) for y in (62, 72, 82)], float)
+    spline = starts.landmark_spline(
+        np.vstack([corners, inner]), np.vstack([corners, inner + [far_px, 0]]), height, width
+    )
+    to_frame = multiscale.method(presets.BALANCED)(reference)
+    mask = np.zeros((height, width), np.float32)
+    mask[62:82, 42:62] = 1
+    name, flow = starts.best_start(to_frame, reference, frame, {"none": None, "landmarks": spline}, mask)
+    assert name == "landmarks"
+    found_px = flow.displacement[62:82, 42:62, 0]
+    alone_px = to_frame(frame, None).displacement[62:82, 42:62, 0]
+    assert abs(np.median(found_px) - far_px) < 1 < abs(np.median(alone_px) - far_px)

@@ -31,7 +31,7 @@ from morphspace.flow.starts import StartKind
 from morphspace.measure import forward_backward_px, stays_inside
 from morphspace.storage import digest_of_file
 from morphspace.verbs.build_model import BuildModelRequest
-from morphspace.verbs.flow import flow_between, turned_round
+from morphspace.verbs.flow_pair import flow_between, turned_round
 
 ROOT = Path(__file__).resolve().parent.parent
 HEIGHT, WIDTH = 48, 64

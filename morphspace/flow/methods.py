@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from morphspace.errors import BadInput
-from morphspace.flow import FlowMethod, baselines, multiscale, paper, presets
-from morphspace.flow.names import DEFAULT, NAMES
+from morphspace.flow import FlowMethod, baselines, multiscale, paper, presets, smooth
+from morphspace.flow.backends import named_backend
+from morphspace.flow.names import DEFAULT, DEFAULT_BACKEND, NAMES, STOCK
 
 METHODS: dict[str, FlowMethod] = {
     **{name: multiscale.method(preset) for name, preset in presets.PRESETS.items()},
@@ -15,11 +16,28 @@ METHODS: dict[str, FlowMethod] = {
     "tvl1": baselines.stock(baselines.tvl1),
 }
 
-__all__ = ["DEFAULT", "METHODS", "NAMES", "named"]
+__all__ = ["DEFAULT", "METHODS", "NAMES", "for_morphs", "named"]
 
 
-def named(name: str) -> FlowMethod:
-    """Give the method of this name. Raises `BadInput` for a name that is not in `METHODS`."""
+def named(name: str, backend: str = DEFAULT_BACKEND) -> FlowMethod:
+    """Give the method of this name, on the machine that `backends.named_backend` calls `backend`.
+
+    Raises `BadInput` for a name that is not in `METHODS`, for a backend that is not there, and for another than the
+    usual with a method that has no choice of it.
+    """
     if name not in METHODS:
         raise BadInput(f"there is no flow called {name!r}: choose one of {', '.join(METHODS)}")
-    return METHODS[name]
+    if backend == DEFAULT_BACKEND:
+        return METHODS[name]
+    if name not in presets.PRESETS:
+        raise BadInput(
+            f"{name} does not run on {backend}, only {', '.join(presets.PRESETS)} do: choose one of them, or leave out "
+            "the backend"
+        )
+    return multiscale.method(presets.PRESETS[name], named_backend(backend))
+
+
+def for_morphs(name: str) -> FlowMethod:
+    """Give the method of this name for building and encoding: smoothed, as the stock ones are already (`smooth`)."""
+    method = named(name)
+    return method if name in STOCK else smooth.for_morphs(method)

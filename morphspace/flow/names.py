@@ -10,3 +10,7 @@ STOCK: tuple[str, ...] = ("deepflow", "dis", "dis-medium", "tvl1")
 
 NAMES = OURS + STOCK
 DEFAULT = "balanced"
+
+BACKENDS = ("opencv", "torch", "torch:cpu", "torch:cuda")
+"""What our presets but `paper` run on: OpenCV on the CPU, torch on the best device, or on one of them."""
+DEFAULT_BACKEND = "opencv"

@@ -11,19 +11,20 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
 
 from morphspace import warp
-from morphspace.arrays import Displacement, Image
-from morphspace.errors import BadInput, MorphspaceError, SizeMismatch
+from morphspace.arrays import Displacement, Image, Points
+from morphspace.errors import BadInput, SizeMismatch
 from morphspace.files.fields import UNKNOWN_PX, check_field_name, read_flow, write_flows
 from morphspace.files.images import read_image, write_image
 from morphspace.files.scenes import Scene, find_scenes
 from morphspace.files.tables import write_metrics_table
-from morphspace.flow import Flow, FlowMethod, methods
+from morphspace.flow import Flow, methods
 from morphspace.flow.baselines import LUMA
-from morphspace.flow.pairs import checked_pair, is_featureless, is_grey, unknown_flow
+from morphspace.flow.names import DEFAULT_BACKEND
+from morphspace.flow.pairs import checked_pair
+from morphspace.flow.starts import WITHOUT_START
 from morphspace.measure import (
     endpoint_error,
     flow_errors,
@@ -35,9 +36,9 @@ from morphspace.measure import (
 from morphspace.progress import Step, Steps
 from morphspace.report.flow_picture import flow_picture
 from morphspace.storage import digest_of_file
+from morphspace.verbs.flow_pair import Pair, flow_between, flow_from_best, read_pair
 from morphspace.verbs.outcome import RECORD_NAME, Outcome, check_file, check_folder, write_record
 
-INVERSION_STEPS = 8  # of the fixed point that turns a start round; an estimator mends what they leave
 WARM_UP_PX = 64  # a side; what a method loads on its first call is not its time
 MEAN = "mean"  # the scene of a preset's last row
 FIGURE_COLUMNS = ("aee_px", "aae_deg", "r1_percent", "time_s")
@@ -48,7 +49,8 @@ class FlowRequest:
     """Find the flow from the picture `reference` (A) to `frame` (B) by `preset`, into `output` (.flo or .exr).
 
     `both` writes the flow from B to A as well, beside it; `picture` is a .png to draw, `start` a field on A's grid to
-    start from.
+    start from. `landmarks` are two files with the same points marked in A and in B: the flow is found from their spline
+    as well, and the better of the two is kept. `backend` is what our presets run on (`backends.named_backend`).
     """
 
     reference: Path
@@ -58,6 +60,8 @@ class FlowRequest:
     both: bool = False
     picture: Path | None = None
     start: Path | None = None
+    landmarks: tuple[Path, Path] | None = None
+    backend: str = DEFAULT_BACKEND
 
     @property
     def back_output(self) -> Path:
@@ -72,16 +76,7 @@ class FlowBenchRequest:
     scenes: Path
     presets: tuple[str, ...] = (methods.DEFAULT,)
     output: Path | None = None
-
-
-@dataclass(frozen=True, eq=False)
-class Pair:
-    """The two pictures of a request, (h, w, 3) each, the start on A's grid if there is one, and notes on them."""
-
-    reference: Image
-    frame: Image
-    start: Displacement | None
-    notes: tuple[str, ...]
+    backend: str = DEFAULT_BACKEND
 
 
 def run_words(
@@ -91,41 +86,51 @@ def run_words(
     both: bool,
     picture: Path | None,
     start: Path | None,
+    landmarks: tuple[Path, Path] | None,
+    backend: str,
     bench: Path | None,
 ) -> Steps[Outcome]:
     """Turn the words of the command line into the request they make, and run it. Raises `BadInput` for a mixture."""
     if bench is not None:
-        if pictures or both or picture or start:
-            raise BadInput("--bench measures scenes: give it no A B, --both, --picture or --start")
-        return run_bench(FlowBenchRequest(bench, presets, output))
+        if pictures or both or picture or start or landmarks:
+            raise BadInput(
+                "--bench measures scenes: give it no A B, --both, --picture, --start or --landmarks"
+            )
+        return run_bench(FlowBenchRequest(bench, presets, output, backend))
     if len(pictures) != 2:
         raise BadInput(f"a flow goes from one picture, A, to another, B: {len(pictures)} given, 2 expected")
     if output is None:
         raise BadInput("the flow has nowhere to go: give -o with a name in .flo or .exr")
     if len(presets) != 1:
         raise BadInput(f"{len(presets)} presets were given: one flow has one, several are for --bench")
-    return run(FlowRequest(*pictures, output, presets[0], both, picture, start))
+    return run(FlowRequest(*pictures, output, presets[0], both, picture, start, landmarks, backend))
 
 
 def run(request: FlowRequest) -> Steps[Outcome]:
     """Find the flow, write it with a record beside it, and draw it. Returns an `Outcome` with its figures."""
-    method = methods.named(request.preset)
+    method = methods.named(request.preset, request.backend)
+    if request.landmarks is not None and request.preset in WITHOUT_START:
+        able = [name for name in methods.NAMES if name not in WITHOUT_START]
+        raise BadInput(f"{request.preset} cannot start from landmarks: choose one of {', '.join(able)}")
     inputs = _inputs(request)
     _check_outputs(request, tuple(inputs.values()))
-    pair = read_pair(request)
+    pair = read_pair(request.reference, request.frame, request.start, request.landmarks)
     for path in (request.output, request.picture):
         if path is not None:
             check_folder(path.parent)
-    total = 1 + request.both
-    yield Step("flow", 0, total)
-    flow = flow_between(method, pair.reference, pair.frame, pair.start)
-    flows = {request.output: flow}
-    yield Step("flow", 1, total)
-    if request.both:
-        start = None if pair.start is None else turned_round(pair.start)
-        flows[request.back_output] = flow_between(method, pair.frame, pair.reference, start)
-        yield Step("flow", 2, total)
+    wanted = {request.output: pair, **({request.back_output: pair.turned()} if request.both else {})}
+    flows: dict[Path, Flow] = {}
+    taken: list[str] = []
+    for path, each in wanted.items():
+        yield Step("flow", len(flows), len(wanted))
+        start, flows[path] = flow_from_best(method, each)
+        taken.append(start)
+    yield Step("flow", len(flows), len(wanted))
+    flow = flows[request.output]
     figures = figures_of(pair, flow, flows.get(request.back_output))
+    if pair.landmarks is not None:
+        figures["started_from"] = taken
+        figures["landmarks_missed_mean_px"] = landmarks_missed_px(flow.displacement, *pair.landmarks)
     write_flows(flows)
     written = list(flows)
     if request.picture is not None:
@@ -135,7 +140,7 @@ def run(request: FlowRequest) -> Steps[Outcome]:
         written.append(request.picture)
     record = _record(
         request.output,
-        {"preset": request.preset, "both": request.both},
+        _settings(request, taken),
         {name: digest_of_file(path) for name, path in inputs.items()},
         written,
     )
@@ -149,7 +154,19 @@ def run(request: FlowRequest) -> Steps[Outcome]:
 
 def _inputs(request: FlowRequest) -> dict[str, Path]:
     inputs = {"A": request.reference, "B": request.frame}
-    return inputs if request.start is None else {**inputs, "start": request.start}
+    if request.start is not None:
+        inputs["start"] = request.start
+    if request.landmarks is not None:
+        inputs["landmarks of A"], inputs["landmarks of B"] = request.landmarks
+    return inputs
+
+
+def _settings(request: FlowRequest, taken: list[str]) -> dict[str, Any]:
+    """Give what was asked for; with landmarks also their files' names and which start was `taken`, there and back."""
+    settings = {"preset": request.preset, "backend": request.backend, "both": request.both}
+    if request.landmarks is None:
+        return settings
+    return {**settings, "landmarks": [path.name for path in request.landmarks], "started_from": taken}
 
 
 def _check_outputs(request: FlowRequest, kept: tuple[Path, ...]) -> None:
@@ -160,78 +177,6 @@ def _check_outputs(request: FlowRequest, kept: tuple[Path, ...]) -> None:
         check_file(request.back_output, suffix, kept)
     if request.picture is not None:
         check_file(request.picture, ".png", kept)
-
-
-def read_pair(request: FlowRequest) -> Pair:
-    """Read the pictures and the start. Raises `BadInput` where no flow can be asked for between them."""
-    names = (str(request.reference), str(request.frame))
-    reference, frame = checked_pair(read_image(request.reference), read_image(request.frame), names)
-    notes = [
-        f"{name} is one colour all over: nothing can be found, the flow is zero with zero confidence"
-        for name, image in zip(names, (reference, frame), strict=True)
-        if is_featureless(image)
-    ]
-    if not notes and is_grey(reference) != is_grey(frame):
-        notes.append("one picture is grey and the other in colour: they are compared in grey")
-        reference, frame = as_grey(reference), as_grey(frame)
-    if request.start is None:
-        return Pair(reference, frame, None, tuple(notes))
-    stored = read_flow(request.start)
-    height, width = stored.known.shape
-    if (height, width) != reference.shape[:2]:
-        raise SizeMismatch(
-            f"{request.start} has {width}x{height} px, {names[0]} has {reference.shape[1]}x{reference.shape[0]}: a "
-            "start lies on A's grid"
-        )
-    furthest_px = float(np.abs(stored.flow.displacement).max())
-    if furthest_px > height + width:
-        raise BadInput(
-            f"{request.start} moves a point by {furthest_px:.3g} px, {names[0]} has {width}x{height} px: a start is a "
-            "field of displacements"
-        )
-    if not stored.known.all():
-        notes.append(f"{request.start} is unknown in places: points start at rest there")
-    return Pair(reference, frame, stored.flow.displacement, tuple(notes))
-
-
-def as_grey(image: Image) -> Image:
-    """Give the luma of an image (h, w, 3) in all three channels."""
-    return np.repeat((image @ LUMA)[..., None], 3, axis=2)
-
-
-def flow_between(
-    method: FlowMethod, reference: Image, frame: Image, start: Displacement | None = None
-) -> Flow:
-    """Give the flow between two checked pictures; zero with zero confidence where one of them shows nothing.
-
-    Raises `BadInput` where OpenCV's estimators cannot work on pictures of this size, and `MorphspaceError` where a
-    method gives values that are not finite, which is a fault of ours.
-    """
-    height, width = reference.shape[:2]
-    if is_featureless(reference) or is_featureless(frame):
-        return unknown_flow(height, width)
-    try:
-        flow = method(reference)(frame, start)
-    except cv2.error as error:
-        raise BadInput(
-            f"this preset cannot work on pictures of {width}x{height} px ({error.err}): choose another"
-        ) from error
-    if not (np.isfinite(flow.displacement).all() and np.isfinite(flow.confidence).all()):
-        raise MorphspaceError(
-            "the flow holds values that are not finite: try another preset, and report the pictures"
-        )
-    return flow
-
-
-def turned_round(displacement: Displacement) -> Displacement:
-    """Give about the inverse of a field (h, w, 2) by the fixed point v(q) = -u(q + v(q)): a start, not a result.
-
-    Cheap, and finite where the field folds; `warp.invert` is exact, but a wild field would cost it all memory.
-    """
-    back = np.zeros_like(displacement)
-    for _ in range(INVERSION_STEPS):
-        back = -warp.sample_field(displacement, back)
-    return back
 
 
 def figures_of(pair: Pair, flow: Flow, back: Flow | None) -> dict[str, Any]:
@@ -261,6 +206,15 @@ def figures_of(pair: Pair, flow: Flow, back: Flow | None) -> dict[str, Any]:
     return figures
 
 
+def landmarks_missed_px(field: Displacement, reference_points: Points, frame_points: Points) -> float:
+    """Give how far from their fellows the field takes landmarks (m, 2) of the reference, on average.
+
+    Between two people this tells more than the colours, which may differ everywhere.
+    """
+    off_px = warp.move_points(field, reference_points) - frame_points
+    return float(np.hypot(off_px[:, 0], off_px[:, 1]).mean())
+
+
 def shown(figures: Mapping[str, Any]) -> tuple[tuple[str, str], ...]:
     """Give figures as people read them: names and values with their units."""
     width, height = figures["size"]
@@ -277,12 +231,15 @@ def shown(figures: Mapping[str, Any]) -> tuple[tuple[str, str], ...]:
         mean_px, p95_px = figures["forward_backward_mean_px"], figures["forward_backward_p95_px"]
         told = ("none stays", "none stays") if mean_px is None else (f"{mean_px:.2f} px", f"{p95_px:.2f} px")
         rows += [("there and back, mean", told[0]), ("95 % are within", told[1])]
+    if "started_from" in figures:
+        rows.append(("start", ", back from ".join(figures["started_from"])))
+        rows.append(("landmarks missed by", f"{figures['landmarks_missed_mean_px']:.2f} px"))
     return tuple(rows)
 
 
 def run_bench(request: FlowBenchRequest) -> Steps[Outcome]:
     """Measure presets on scenes with true flow. Returns an `Outcome` with the table; time is wall-clock time."""
-    chosen = {preset: methods.named(preset) for preset in request.presets}
+    chosen = {preset: methods.named(preset, request.backend) for preset in request.presets}
     scenes, bare = find_scenes(request.scenes)
     if request.output is not None:
         kept = [path for scene in scenes for path in _files(scene).values()]
@@ -305,7 +262,11 @@ def run_bench(request: FlowBenchRequest) -> Steps[Outcome]:
     if request.output is not None:
         write_metrics_table(request.output, {name: [row[name] for row in table] for name in table[0]})
         inputs = {name: digest_of_file(path) for scene in scenes for name, path in _files(scene).items()}
-        settings = {"presets": list(chosen), "scenes": [scene.name for scene in scenes]}
+        settings = {
+            "presets": list(chosen),
+            "backend": request.backend,
+            "scenes": [scene.name for scene in scenes],
+        }
         written = (request.output, _record(request.output, settings, inputs, [request.output]))
     return Outcome(table_lines(table), {"table": table}, notes, written)
 
