@@ -84,7 +84,7 @@ def print_times(size: int, seconds: Seconds) -> None:
     print(f"### {size} x {size} px\n")
     print(
         f"Processor time on one thread for one pair of `{TIMED_SET}`, the next pair each round: ms, median with "
-        f"quartiles of {len(seconds[DIS])} rounds ({SLOW_ROUNDS} of the slow ones), and as a multiple of the peers' in "
+        f"quartiles of {len(seconds[DIS])} rounds (at most {SLOW_ROUNDS} of the slow ones), and as a multiple of the peers' in "
         "the same round, median. First frame: preparing the reference is on the clock. Each further frame: it has "
         "had one already, as in a build. None has a start.\n"
     )
@@ -105,7 +105,7 @@ def print_goals(seconds: Mapping[int, Seconds]) -> None:
     rows = [
         goal_row(
             preset,
-            f"{size} px, {which}, time / {peer.removeprefix('OpenCV ')}'s (half)",
+            f"time / {peer.removeprefix('OpenCV ')}'s, {size} px, {which} (half)",
             _multiple(found, _row_name(preset, which), peer),
             landing,
             goal,

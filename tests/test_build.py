@@ -3,6 +3,7 @@
 from collections.abc import Iterator
 from dataclasses import replace
 
+import cv2
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
@@ -426,6 +427,40 @@ def test_results_come_in_the_order_of_the_items_and_few_are_under_way():
     assert [next(results) for _ in range(3)] == [0, 1, 4]
     assert len(taken) <= 3 + 2  # two workers
     assert list(results) == [i * i for i in range(3, 100)]
+
+
+@pytest.fixture
+def own_threads():
+    """OpenCV with three threads of its own, whatever the machine has."""
+    before = cv2.getNumThreads()
+    cv2.setNumThreads(3)
+    yield cv2.getNumThreads
+    cv2.setNumThreads(before)
+
+
+def test_threads_go_over_the_items_and_not_inside_them(own_threads):
+    assert own_threads() == 3
+    assert list(in_order(lambda item: own_threads(), range(5))) == 5 * [1]
+    assert own_threads() == 3
+
+
+def test_the_threads_come_back_after_a_failure_and_when_nobody_asks_on(own_threads):
+    with pytest.raises(ZeroDivisionError):
+        list(in_order(lambda item: 1 // item, range(3)))
+    assert own_threads() == 3
+    results = in_order(lambda item: item, range(9))
+    next(results)
+    assert own_threads() == 1
+    results.close()
+    assert own_threads() == 3
+
+
+def test_the_threads_come_back_with_the_last_of_several_loops(own_threads):
+    first, second = (in_order(lambda item: own_threads(), range(9)) for _ in range(2))
+    assert next(first) == next(second) == 1
+    first.close()
+    assert own_threads() == 1 and list(second) == 8 * [1]
+    assert own_threads() == 3
 
 
 def test_a_failure_in_a_thread_is_raised_at_its_place():

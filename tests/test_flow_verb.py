@@ -27,7 +27,7 @@ from morphspace.files.images import read_image, write_image
 from morphspace.files.tables import read_metrics_table
 from morphspace.flow import Flow, methods, names
 from morphspace.flow.pairs import MIN_SIDE_PX, checked_pair, checked_picture, is_featureless, is_grey
-from morphspace.flow.starts import StartKind
+from morphspace.flow.starts import WITHOUT_START, StartKind
 from morphspace.measure import forward_backward_px, stays_inside
 from morphspace.storage import digest_of_file
 from morphspace.verbs.build_model import BuildModelRequest
@@ -201,6 +201,145 @@ def test_the_method_starts_from_the_start_and_goes_back_from_its_inverse(folder,
     assert record["inputs"]["start"] == digest_of_file(folder / "start.exr")
 
 
+@dataclasses.dataclass
+class Obedient(Asked):
+    """A method that gives what it starts from, and its own field where it starts from nothing."""
+
+    def __call__(self, reference):
+        alone = super().__call__(reference)
+
+        def to_frame(frame, start=None):
+            flow = alone(frame, start)
+            return flow if start is None else Flow(start, flow.confidence)
+
+        return to_frame
+
+
+CORNERS = np.array([[2, 2], [60, 4], [5, 44], [58, 40], [30, 20]])
+
+
+@pytest.fixture
+def marked(folder, monkeypatch):
+    """Landmarks a.csv and b.csv that move as the picture does, and a method that follows its start."""
+    for name, points in (("a", CORNERS), ("b", CORNERS + np.array([SHIFT_PX, 0]))):
+        (folder / f"{name}.csv").write_text("x,y\n" + "".join(f"{x},{y}\n" for x, y in points))
+    method = Obedient(field_of(0, 1))
+    monkeypatch.setitem(methods.METHODS, "dis-medium", method)
+    return method
+
+
+def with_landmarks(folder, a="a.csv", b="b.csv", *words):
+    pictures = (folder / "a.png", folder / "b.png", "-o", folder / "o.flo")
+    return (*pictures, "--landmarks", folder / a, folder / b, *FAST, *words)
+
+
+def test_landmarks_start_both_ways_and_the_record_tells_it(folder, marked):
+    figures = told(*with_landmarks(folder, "a.csv", "b.csv", "--both"))
+    starts = [start for _, _, start in marked.asked]
+    assert starts[0] is None and starts[2] is None
+    assert_allclose(starts[1], field_of(SHIFT_PX, 0), atol=1e-4)
+    assert_allclose(starts[3], field_of(-SHIFT_PX, 0), atol=1e-4)
+    assert_array_equal(read_flow(folder / "o.flo").flow.displacement, starts[1])
+    assert_array_equal(read_flow(folder / "o.back.flo").flow.displacement, starts[3])
+    assert figures["started_from"] == ["landmarks", "landmarks"]
+    assert figures["landmarks_missed_mean_px"] == pytest.approx(0, abs=1e-4)
+    record = json.loads((folder / "o.flo.record.json").read_text())
+    assert record["settings"]["landmarks"] == ["a.csv", "b.csv"]
+    assert record["settings"]["started_from"] == ["landmarks", "landmarks"]
+    for which in "ab":
+        digest = digest_of_file(folder / f"{which}.csv")
+        assert record["inputs"][f"landmarks of {which.upper()}"] == digest
+
+
+def test_what_landmarks_do_not_better_stands(folder, marked):
+    marked.field[:] = SHIFT_PX, 0
+    wrong = CORNERS + np.array([SHIFT_PX, 3])
+    (folder / "b.tem").write_text("5\n" + "".join(f"{x}\t{y}\n" for x, y in wrong) + "0\n")
+    figures = told(*with_landmarks(folder, "a.csv", "b.tem"))
+    assert figures["started_from"] == ["none"] and figures["landmarks_missed_mean_px"] == pytest.approx(3)
+    assert_array_equal(read_flow(folder / "o.flo").flow.displacement, marked.field)
+    lines = done(*with_landmarks(folder, "a.csv", "b.tem", "--both")).stdout
+    assert re.search(r"start +none, back from", lines) and re.search(r"landmarks missed by +3\.00 px", lines)
+
+
+def test_a_start_that_is_given_is_the_landmarks_rival(folder, marked):
+    write_flow(folder / "start.flo", Flow(field_of(SHIFT_PX, 0), np.ones((HEIGHT, WIDTH), np.float32)))
+    figures = told(*with_landmarks(folder, "a.csv", "b.csv", "--start", folder / "start.flo"))
+    assert figures["started_from"] == ["start"]  # the landmarks explain no more
+    assert [start is None for _, _, start in marked.asked] == [False, False]
+
+
+@pytest.mark.parametrize("preset", names.OURS[:3])
+def test_our_presets_take_landmarks(folder, marked, preset):
+    words = with_landmarks(folder)
+    figures = told(*words[: words.index("--preset")], "--preset", preset)
+    assert figures["landmarks_missed_mean_px"] < 0.5
+    assert figures["started_from"][0] in ("none", "landmarks")
+
+
+def test_landmarks_on_pictures_without_anything_in_them_give_zero_flow(folder, marked):
+    write_image(folder / "b.png", np.zeros((HEIGHT, WIDTH, 3), np.float32))
+    figures = told(*with_landmarks(folder))
+    assert figures["started_from"] == ["none"] and figures["displacement_largest_px"] == 0
+
+
+@pytest.mark.parametrize("preset", WITHOUT_START)
+def test_a_preset_without_a_use_for_landmarks_says_so(folder, marked, preset):
+    words = with_landmarks(folder)
+    refused(run(*words[: words.index("--preset")], "--preset", preset), preset, "landmarks", "balanced")
+
+
+@pytest.mark.parametrize(
+    ("a", "b", "mentioned"),
+    [
+        ("1,2\n30,4\n", "1,2\n30,4\n", "a.txt 2 places"),
+        ("1,1\n10,10\n40,40\n", "1,2\n30,4\n9,30\n", "a.txt line"),
+        ("1,2\n30,4\n9,30\n", "1,2\n30,4\n", "a.txt 3 b.txt 2"),
+        ("1,2\n30,4\n9,x\n", "1,2\n30,4\n9,30\n", "a.txt line 3"),
+        ("1,2\n300,4\n9,300\n", "1,2\n30,4\n9,30\n", "a.txt 2 of 3 a.png 64x48"),
+        ("1,2\n30,4\n9,30\n", "1,2\n-30,4\n9,-30\n", "b.txt 2 of 3 b.png 64x48"),
+        ("20,20\n24,20\n20,25\n", "2,2\n60,4\n5,44\n", "64x48 px landmarks move"),
+        ("", "1,2\n30,4\n9,30\n", "a.txt empty"),
+    ],
+)
+def test_landmarks_that_are_none_get_one_line_and_nothing_is_written(folder, marked, a, b, mentioned):
+    (folder / "a.txt").write_text(a)
+    (folder / "b.txt").write_text(b)
+    before = sorted(folder.iterdir())
+    refused(run(*with_landmarks(folder, "a.txt", "b.txt", "--both")), *mentioned.split(" "))
+    assert sorted(folder.iterdir()) == before
+
+
+# what it runs on
+
+
+def test_the_backends_offered_are_the_ones_there_are():
+    (option,) = (o for o in main.commands["flow"].params if o.name == "backend")
+    assert tuple(option.type.choices) == names.BACKENDS and option.default == names.DEFAULT_BACKEND
+    assert methods.named("fast") is methods.named("fast", "opencv") is methods.METHODS["fast"]
+    with pytest.raises(BadInput, match=r"does not run on 'abacus'.*opencv, torch, torch:cpu or torch:cuda"):
+        methods.named("fast", "abacus")
+
+
+def test_torch_finds_the_same_flow_and_is_recorded(folder):
+    pytest.importorskip("torch")
+    fields = []
+    for backend in ("opencv", "torch:cpu"):
+        words = (folder / "a.png", folder / "b.png", "-o", folder / "o.flo", "--preset", "fast")
+        done(*words, "--backend", backend)
+        fields.append(read_flow(folder / "o.flo").flow.displacement)
+        assert json.loads((folder / "o.flo.record.json").read_text())["settings"]["backend"] == backend
+    assert_allclose(*fields, atol=0.01)  # px
+    assert (fields[0] != fields[1]).any()  # it was another machine
+
+
+@pytest.mark.parametrize("preset", [name for name in names.NAMES if name not in names.OURS[:3]])
+def test_other_presets_have_no_choice_of_a_backend(folder, preset):
+    words = (folder / "a.png", folder / "b.png", "-o", folder / "o.flo", "--preset", preset)
+    refused(run(*words, "--backend", "torch:cpu"), preset, "torch:cpu", "fast, balanced, accurate")
+    assert not (folder / "o.flo").exists()
+
+
 def test_a_start_turned_round_stays_finite_where_it_folds():
     wild = np.random.default_rng(0).uniform(-90, 90, (HEIGHT, WIDTH, 2)).astype(np.float32)
     assert np.isfinite(turned_round(wild)).all()
@@ -232,7 +371,11 @@ def test_the_record_fits_the_schema_and_its_digests_the_files(folder, asked):
     record = json.loads((folder / "o.exr.record.json").read_text())
     schema = json.loads((ROOT / "data_spec" / "record.schema.json").read_text())
     jsonschema.Draft202012Validator(schema).validate(record)
-    assert record["verb"] == "flow" and record["settings"] == {"preset": "dis-medium", "both": True}
+    assert record["verb"] == "flow" and record["settings"] == {
+        "preset": "dis-medium",
+        "backend": "opencv",
+        "both": True,
+    }
     assert record["inputs"] == {"A": digest_of_file(folder / "a.png"), "B": digest_of_file(folder / "b.png")}
     assert sorted(record["outputs"]) == ["o.back.exr", "o.exr", "p.png"]
     before = {name: digest_of_file(folder / name) for name in (*record["outputs"], "o.exr.record.json")}
@@ -342,6 +485,11 @@ def bad(folder, picture):
         ("--bench .", "flow10.flo"),
         ("--bench . a.png b.png", "--bench"),
         ("--bench . --both", "--bench"),
+        ("--bench . --landmarks a.png b.png", "--bench --landmarks"),
+        ("--bench . --backend torch --preset paper", "paper torch"),
+        ("a.png b.png -o o.flo --landmarks a.png b.png", "a.png .tem"),
+        ("a.png b.png -o o.flo --landmarks a.tem nowhere.tem", "a.tem"),
+        ("a.png b.png -o o.flo --backend abacus", "abacus"),
     ],
 )
 def test_bad_words_get_one_line_and_write_nothing(bad, monkeypatch, words, mentioned):
@@ -506,7 +654,11 @@ def test_the_bench_gives_the_errors_of_every_scene_and_their_mean(scenes, asked)
     for words in (r"Half +0\.500 ", r"Two +2\.000 .* 100\.00 ", r"mean +0\.833 "):
         assert re.search(words, result.stdout)
     record = json.loads((scenes / "t.csv.record.json").read_text())
-    assert record["settings"] == {"presets": ["dis-medium"], "scenes": ["Half", "Partly", "Two"]}
+    assert record["settings"] == {
+        "presets": ["dis-medium"],
+        "backend": "opencv",
+        "scenes": ["Half", "Partly", "Two"],
+    }
     assert record["inputs"]["Half/flow10.flo"] == digest_of_file(scenes / "Half" / "flow10.flo")
 
 

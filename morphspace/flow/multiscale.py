@@ -184,12 +184,10 @@ def _matched(
     trust: Any = None
     off: Any = None
     if checked < len(levels):
-        field, off = _descend(levels, target, len(levels), checked, None, None, start, preset, backend)
+        field, off = _descend(levels, target, len(levels), checked, None, start, preset, backend)
         trust = _trust(levels[checked], target[checked], field, sizes[0] / sizes[checked], preset, backend)
     if checked > 0:
-        field, off = _descend(
-            levels, target, min(checked, len(levels)), 0, field, trust, start, preset, backend
-        )
+        field, off = _descend(levels, target, min(checked, len(levels)), 0, field, start, preset, backend)
     height, width = field.shape[1:]
     trust = backend.xp.ones_like(off) if trust is None else backend.resized(trust[None], height, width)[0]
     return field, trust, off
@@ -207,7 +205,7 @@ def _trust(
     back = -field
     for _ in range(INVERSE_STEPS):
         back = -backend.looked_up(field, level.x + back[0], level.y + back[1])
-    back, _ = _refined(back_level, level.planes, back, None, None, WARPS_BACK, preset, backend)
+    back, _ = _refined(back_level, level.planes, back, None, WARPS_BACK, preset, backend)
     missed = px * (field + backend.looked_up(back, level.x + field[0], level.y + field[1]))
     return 1 / (1 + ((missed * missed).sum(0) / MISSED_PX**2) ** 2)
 
@@ -218,7 +216,6 @@ def _descend(
     above: int,
     last: int,
     field: Planes | None,
-    trust: Planes | None,
     start: Planes | None,
     preset: Preset,
     backend: Backend,
@@ -232,10 +229,9 @@ def _descend(
             field = backend.xp.zeros_like(backend.xp.stack([level.x, level.y]))
         else:
             field = _resized_field(field, height, width, backend)
-        here = None if trust is None else backend.resized(trust[None], height, width)[0]
         rival = None if start is None else _resized_field(start, height, width, backend)
         warps = preset.warps[min(number, len(preset.warps) - 1)]
-        field, off = _refined(level, target[number], field, here, rival, warps, preset, backend)
+        field, off = _refined(level, target[number], field, rival, warps, preset, backend)
     return field, off
 
 
@@ -253,7 +249,6 @@ def _refined(
     level: ReferenceLevel,
     target: Planes,
     field: Planes,
-    trust: Planes | None,
     start: Planes | None,
     warps: int,
     preset: Preset,
@@ -276,8 +271,6 @@ def _refined(
         warped = half_derivatives(backend, read(x, y), preset.channels)
         constraint = tensor(backend, level.derivatives, warped, channels, tuple(target.shape))
         seen = xp.where(outside(x, y, height, width), 0.0, xp.ones_like(x))
-        if trust is not None:
-            seen = seen * trust
         moved, dual = _step(level, constraint, seen, field, dual, preset, backend)
         change, field = moved - field, backend.median(moved)
     return field, constraint.residual(change[0], change[1])

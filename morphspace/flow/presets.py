@@ -44,7 +44,7 @@ class Preset:
     alternations: int = 1
     rivals_px: int = 140
     rival_step_px: int = 3
-    rival_rounds: int = 2
+    rival_rounds: int = 1
     checked_px: int = 0
 
     @cached_property
@@ -71,7 +71,10 @@ BALANCED = replace(
     factor=0.5,
     warps=(1, 3),
     channels=replace(ACCURATE.channels, weights=(1.0, 1.0, 1.0)),
+    smoothings=1,
+    strength=10.0,
     rounds=2,
+    rivals_px=0,
     checked_px=70,
 )
 FAST = replace(

@@ -18,7 +18,7 @@ LEAST_WEIGHT = 1e-3  # of a point of no confidence: where all are so, the plain 
 
 
 def smoothed(flow: Flow) -> Flow:
-    """Give the flow averaged by a Gaussian of `SMOOTHING` times its width, each point weighted by squared confidence."""
+    """Give the flow averaged by a Gaussian of `SMOOTHING` times its width, points weighted by squared confidence."""
     sd_px = SMOOTHING * flow.displacement.shape[1]
     weight = flow.confidence**2 + np.float32(LEAST_WEIGHT)
     stack = np.concatenate([flow.displacement * weight[..., None], weight[..., None]], axis=2)

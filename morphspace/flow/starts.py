@@ -114,8 +114,8 @@ def landmark_spline(reference_points: Points, frame_points: Points, height: int,
 
     reference_points, frame_points = _checked_landmarks(reference_points, frame_points)
     places, moves = _one_each(reference_points, frame_points - reference_points)
-    _check_spread(places, "reference")
-    _check_spread(frame_points, "frame")
+    check_spread(places, "the reference")
+    check_spread(frame_points, "the frame")
     spline = RBFInterpolator(places, moves, kernel="thin_plate_spline", degree=1)
     nodes_x, nodes_y = np.meshgrid(
         *(
@@ -170,14 +170,15 @@ def _one_each(places: Points, moves: Points) -> tuple[Points, Points]:
     return mean[:, :2], mean[:, 2:]
 
 
-def _check_spread(points: Points, name: str) -> None:
+def check_spread(points: Points, name: str) -> None:
+    """Raise `BadInput`, calling their picture or file `name`, where points (m, 2) px are too few or on one line."""
     places = len(np.unique(points, axis=0))
     if places < 3:
-        raise BadInput(f"the landmarks of the {name} are at {places} places: a spline needs at least 3")
+        raise BadInput(f"the landmarks of {name} are at {places} places: a spline needs at least 3")
     spread_px = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)[1] / np.sqrt(len(points))
     if spread_px < LEAST_LANDMARK_SPREAD_PX:
         raise BadInput(
-            f"the {len(points)} landmarks of the {name} lie on one line, to {spread_px:.2g} px: mark a point beside it"
+            f"the {len(points)} landmarks of {name} lie on one line, to {spread_px:.2g} px: mark a point beside it"
         )
 
 

@@ -18,7 +18,7 @@ from morphspace.files.landmarks import read_landmark_pair
 from morphspace.flow import Flow, FlowMethod
 from morphspace.flow.baselines import LUMA
 from morphspace.flow.pairs import checked_pair, is_featureless, is_grey, unknown_flow
-from morphspace.flow.starts import best_start, landmark_spline
+from morphspace.flow.starts import best_start, check_spread, landmark_spline
 
 INVERSION_STEPS = 8  # of the fixed point that turns a start round; an estimator mends what they leave
 
@@ -84,6 +84,7 @@ def read_pair(
     if landmark_paths is not None:
         landmarks = read_landmark_pair(*landmark_paths)
         for points, path, name in zip(landmarks, landmark_paths, names, strict=True):
+            check_spread(points, str(path))
             check_inside(points, path, name, height, width)
     return Pair(reference, frame, start, landmarks, tuple(notes))
 
