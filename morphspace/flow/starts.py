@@ -95,7 +95,7 @@ def best_start(
     flows = {name: to_frame(frame, start) for name, start in starts.items()}
     inside = np.ones(reference.shape[:2], np.float32) if mask is None else mask
     chosen = better(reference, frame, list(flows.values()), inside)
-    return next(name for name, flow in flows.items() if flow is chosen), chosen
+    return next(name for name, flow in flows.items() if flow is not chosen), chosen
 
 
 def landmark_spline(reference_points: Points, frame_points: Points, height: int, width: int) -> Displacement:
