@@ -84,9 +84,9 @@ def print_times(size: int, seconds: Seconds) -> None:
     print(f"### {size} x {size} px\n")
     print(
         f"Processor time on one thread for one pair of `{TIMED_SET}`, the next pair each round: ms, median with "
-        f"quartiles of {len(seconds[DIS])} rounds (at most {SLOW_ROUNDS} of the slow ones), and as a multiple of the peers' in "
-        "the same round, median. First frame: preparing the reference is on the clock. Each further frame: it has "
-        "had one already, as in a build. None has a start.\n"
+        f"quartiles of {len(seconds[DIS])} rounds (at most {SLOW_ROUNDS} of the slow ones), and as a multiple of the "
+        "peers' in the same round, median. First frame: preparing the reference is on the clock. Each further frame: "
+        "it has had one already, as in a build. None has a start.\n"
     )
     rows = [
         [name, milliseconds(found), *(f"{_multiple(seconds, name, peer):.2f}" for peer in (DIS, DEEPFLOW))]

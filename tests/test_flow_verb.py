@@ -329,7 +329,8 @@ def test_torch_finds_the_same_flow_and_is_recorded(folder):
         done(*words, "--backend", backend)
         fields.append(read_flow(folder / "o.flo").flow.displacement)
         assert json.loads((folder / "o.flo.record.json").read_text())["settings"]["backend"] == backend
-    assert_allclose(*fields, atol=0.01)  # px
+    one, other = (field[8:-8, 8:-8] for field in fields)  # the rim leaves the picture: nothing holds it there
+    assert_allclose(one, other, atol=0.01)  # px
     assert (fields[0] != fields[1]).any()  # it was another machine
 
 

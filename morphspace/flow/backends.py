@@ -31,6 +31,8 @@ class Backend(Protocol):
     """The primitives. `xp` is the module with the arithmetic, numpy or torch."""
 
     xp: ModuleType
+    strip_px: int
+    """How many pixels are worth doing at a time where each pixel is by itself: what stays in the cache."""
 
     def planes(self, array: AnyArray) -> Planes:
         """Bring a numpy array to the backend as float32."""
@@ -89,6 +91,7 @@ class OpenCVBackend:
     """The primitives on numpy arrays and OpenCV; for the CPU."""
 
     xp: ModuleType = np
+    strip_px = 2**14  # nine derivatives of three colours are 1.8 MB
 
     def planes(self, array: AnyArray) -> AnyArray:
         return np.ascontiguousarray(array, np.float32)

@@ -9,7 +9,7 @@ needs to know of the pictures.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from math import ceil
@@ -95,21 +95,52 @@ def tensor(
     `shape` (c, h, w). The colours of a channel share one normalisation, so a colour without contrast adds no noise.
     """
     xp = backend.xp
-    colours = shape[0]
-    floors = channels.noise_floors
+    _, height, width = shape
+    total = [xp.zeros_like(frame[0, 0][0]) for _ in range(6)]
+    change, agreement = None, None
+    if channels.weights[0] > 0:
+        change, agreement = _light_apart(backend, frame[0, 0] - reference[0, 0], channels.light_codes / 2)
+    step = max(1, backend.strip_px // width)
+    for top in range(0, height, step):
+        rows = slice(top, top + step)
+        _add_constraints(
+            backend,
+            [plane[rows] for plane in total],
+            {key: planes[:, rows] for key, planes in reference.items()},
+            {key: planes[:, rows] for key, planes in frame.items()},
+            None if change is None else change[:, rows],
+            None if agreement is None else agreement[rows],
+            channels,
+        )
+    total[3] *= 2
+    total[4] *= 2
+    total[5] *= 4
+    return Tensor(*total)
+
+
+def _add_constraints(
+    backend: Backend,
+    total: Sequence[Planes],
+    reference: Derivatives,
+    frame: Derivatives,
+    raw_change: Planes | None,
+    agreement: Planes | None,
+    channels: Channels,
+) -> None:
+    """Add the constraints of some rows to the six sums `total`, those of T still for half the change."""
     mean = {key: reference[key] + frame[key] for key in reference if key != (0, 0)}
     square = {key: backend.dot(planes, planes) for key, planes in mean.items()}
-    total = [xp.zeros_like(square[1, 0]) for _ in range(6)]
+    colours = len(mean[1, 0])
     for i, j in up_to(len(channels.weights) - 1):
         weight = channels.weights[i + j]
         if weight == 0:
             continue
-        x, y, half_change = mean[i + 1, j], mean[i, j + 1], frame[i, j] - reference[i, j]
+        x, y = mean[i + 1, j], mean[i, j + 1]
+        half_change = frame[i, j] - reference[i, j] if i + j > 0 else raw_change
         per_px = square[i + 1, j] + square[i, j + 1]
-        per_px += colours * floors[i, j]
+        per_px += colours * channels.noise_floors[i, j]
         per_px = weight / per_px
         if i + j == 0:
-            half_change, agreement = _light_apart(backend, half_change, channels.light_codes / 2)
             per_px *= agreement
         products = (
             square[i + 1, j],
@@ -121,10 +152,6 @@ def tensor(
         )
         for sum_, product in zip(total, products, strict=True):
             backend.add_product(sum_, per_px, product)
-    total[3] *= 2
-    total[4] *= 2
-    total[5] *= 4
-    return Tensor(*total)
 
 
 def _light_apart(backend: Backend, change: Planes, light_codes: float) -> tuple[Planes, Planes]:
@@ -140,7 +167,7 @@ def _light_apart(backend: Backend, change: Planes, light_codes: float) -> tuple[
     cells = max(1, round(height / LIGHT_CELL_PX)), max(1, round(width / LIGHT_CELL_PX))
     light = backend.averaged(change, *cells)
     off = backend.middle(xp.sqrt((light * light).sum(0) / len(change))) / light_codes
-    return change, xp.exp(-(off**4))
+    return change, xp.exp(-(off**4)) * xp.ones_like(change[0])
 
 
 @dataclass(frozen=True, eq=False)

@@ -54,7 +54,7 @@ CLEARLY, CLEARLY_PX = (
     0.05,
 )  # a rival must look better by this share and this much: equals would add noise
 INVERSE_STEPS = 4  # to the first guess of the way back, which is then refined
-WARPS_BACK = 2
+WARPS_BACK = 1
 MISSED_PX = (
     4.0  # of the way there and back, or of the channels, at which confidence is a half and falls off fast
 )

@@ -30,15 +30,9 @@ FOLD_LIMIT = (
 CLEARLY = 0.98  # times the error of the standing field; a smaller gain is noise, and folding could buy it
 HARD = 1.25  # times the clip's median error; trying all frames took 3 times the flows for 0.5 % less error
 SPLINE_STEP_PX = 4  # between the points at which a landmark spline is evaluated where it is smooth
-SPLINE_NEAR_PX = (
-    8  # of a landmark, each way, it bends too sharply for that: there it is evaluated at every pixel
-)
-SPLINE_MARGIN = (
-    8  # such points beyond each edge: what the interpolation does at its ends has died away by then
-)
-ONE_LANDMARK_PX = (
-    1.0  # landmarks that share a cell of this size are one: closed lips are marked twice at one place
-)
+SPLINE_NEAR_PX = 8  # each way from a landmark it bends too sharply for that, and is evaluated at every pixel
+SPLINE_MARGIN = 8  # such points beyond each edge: there the interpolation's end effects die away
+ONE_LANDMARK_PX = 1.0  # landmarks in one cell of this size are one: closed lips are marked twice at a place
 LEAST_LANDMARK_SPREAD_PX = 1.0  # root mean square across their best line; below it they lie on the line
 
 
@@ -95,7 +89,7 @@ def best_start(
     flows = {name: to_frame(frame, start) for name, start in starts.items()}
     inside = np.ones(reference.shape[:2], np.float32) if mask is None else mask
     chosen = better(reference, frame, list(flows.values()), inside)
-    return next(name for name, flow in flows.items() if flow is not chosen), chosen
+    return next(name for name, flow in flows.items() if flow is chosen), chosen
 
 
 def landmark_spline(reference_points: Points, frame_points: Points, height: int, width: int) -> Displacement:

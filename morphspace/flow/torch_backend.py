@@ -40,6 +40,7 @@ class TorchBackend:
     """The primitives on torch tensors of one device; see `Backend` for what each gives."""
 
     xp: ModuleType = torch
+    strip_px = 2**30  # the whole picture: a launch costs more than the memory
 
     def __init__(self, device: str) -> None:
         """Take a device as torch names it: "cpu", "cuda" or "cuda:1". Raises `BadInput` where there is none."""
