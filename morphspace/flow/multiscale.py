@@ -12,7 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import lru_cache, partial
 from math import ceil, sqrt
 from typing import Any
 
@@ -150,7 +150,7 @@ def _shrunk(planes: Planes, factor: float, height: int, width: int, backend: Bac
 @lru_cache(maxsize=64)
 def _bell(sd_px: float) -> AnyArray:
     """Give a Gaussian (n,) that is nowhere negative: a weighted sum of squares must stay one."""
-    radius = ceil(2.5 * sd_px)
+    radius = ceil(2 * sd_px)
     at = np.arange(-radius, radius + 1)
     kernel = np.exp(-(at**2) / (2 * sd_px**2))
     return kernel / kernel.sum()
@@ -182,13 +182,14 @@ def _matched(
     checked = next((n for n, size in enumerate(sizes) if size <= preset.checked_px), len(levels))
     field: Any = None
     trust: Any = None
-    off: Any = None
+    missed: Any = None
     if checked < len(levels):
-        field, off = _descend(levels, target, len(levels), checked, None, start, preset, backend)
+        field, missed = _descend(levels, target, len(levels), checked, None, start, preset, backend)
         trust = _trust(levels[checked], target[checked], field, sizes[0] / sizes[checked], preset, backend)
     if checked > 0:
-        field, off = _descend(levels, target, min(checked, len(levels)), 0, field, start, preset, backend)
+        field, missed = _descend(levels, target, min(checked, len(levels)), 0, field, start, preset, backend)
     height, width = field.shape[1:]
+    off = missed()
     trust = backend.xp.ones_like(off) if trust is None else backend.resized(trust[None], height, width)[0]
     return field, trust, off
 
@@ -219,9 +220,12 @@ def _descend(
     start: Planes | None,
     preset: Preset,
     backend: Backend,
-) -> tuple[Planes, Planes]:
-    """Refine a field through the levels below number `above`, coarsest first, down to `last`."""
-    off: Any = None
+) -> tuple[Planes, Callable[[], Planes]]:
+    """Refine a field through the levels below number `above`, coarsest first, down to `last`.
+
+    Gives the field and the function that says by how much, (h, w) px^2, it still misses.
+    """
+    missed: Any = None
     for number in reversed(range(last, above)):
         level = levels[number]
         height, width = level.planes.shape[1:]
@@ -231,8 +235,8 @@ def _descend(
             field = _resized_field(field, height, width, backend)
         rival = None if start is None else _resized_field(start, height, width, backend)
         warps = preset.warps[min(number, len(preset.warps) - 1)]
-        field, off = _refined(level, target[number], field, rival, warps, preset, backend)
-    return field, off
+        field, missed = _refined(level, target[number], field, rival, warps, preset, backend)
+    return field, missed
 
 
 def _resized_field(field: Planes, height: int, width: int, backend: Backend) -> Planes:
@@ -253,7 +257,7 @@ def _refined(
     warps: int,
     preset: Preset,
     backend: Backend,
-) -> tuple[Planes, Planes]:
+) -> tuple[Planes, Callable[[], Planes]]:
     xp = backend.xp
     read = backend.sampler(target)
     dual = xp.zeros_like(field)
@@ -273,7 +277,7 @@ def _refined(
         seen = xp.where(outside(x, y, height, width), 0.0, xp.ones_like(x))
         moved, dual = _step(level, constraint, seen, field, dual, preset, backend)
         change, field = moved - field, backend.median(moved)
-    return field, constraint.residual(change[0], change[1])
+    return field, partial(constraint.residual, change[0], change[1])
 
 
 def _step(
@@ -288,22 +292,20 @@ def _step(
     """Move the field to where the robust constraints and the smoothness agree."""
     xp = backend.xp
     moved = field
+    off = constraint.tt
     blur = _bell(preset.integration_px) if preset.integration_px else None
-    for _ in range(preset.rounds):
-        change = moved - field
-        off = constraint.residual(change[0], change[1])
+    parts = (constraint.xx, constraint.yy, constraint.xy, constraint.xt, constraint.yt)
+    for number in range(preset.rounds):
+        if number > 0:
+            change = moved - field
+            off = constraint.residual(change[0], change[1])
         trust = seen / xp.sqrt(xp.clip(off, 0, None) + preset.robust_px**2)
-        weighted = xp.stack(
-            [
-                trust * part
-                for part in (constraint.xx, constraint.yy, constraint.xy, constraint.xt, constraint.yt)
-            ]
-        )
+        weighted: Any = [trust * part for part in parts]
         if blur is not None:
-            weighted = backend.filtered(weighted, blur, blur)
+            weighted = backend.filtered(xp.stack(weighted), blur, blur)
         a, b, c, d, e = weighted
-        a = a + preset.coupling
-        b = b + preset.coupling
+        a += preset.coupling
+        b += preset.coupling
         scale = 1 / (a * b - c * c)
         for _ in range(preset.alternations):
             smooth = _smoothed(level, moved + dual, preset)
