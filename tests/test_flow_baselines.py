@@ -43,7 +43,7 @@ def test_a_known_warp_is_found(picture, wavy_field, name):
     miss = np.hypot(*np.moveaxis(named(name)(reference)(frame, None).displacement - truth, -1, 0))[
         10:-10, 10:-10
     ]
-    assert np.median(miss) < 0.15  # px; 8-bit grey, and smoothing by 2 % of the width
+    assert np.median(miss) < 0.15  # px; 8-bit grey
     assert np.percentile(miss, 95) < 0.5
 
 

@@ -83,7 +83,7 @@ def test_the_flow_of_a_picture_with_itself_is_zero_and_trusted(picture, name):
 
 @pytest.mark.parametrize(
     ("name", "mean_px", "most_px"),
-    [("fast", 0.03, 0.25), ("balanced", 0.005, 0.05), ("accurate", 0.003, 0.03)],
+    [("fast", 0.06, 0.4), ("balanced", 0.005, 0.05), ("accurate", 0.003, 0.03)],
 )
 @pytest.mark.parametrize(("right", "down"), [(3, -2), (0, 5), (-1, 0)])
 def test_a_translation_is_found(picture, name, mean_px, most_px, right, down):
@@ -93,7 +93,7 @@ def test_a_translation_is_found(picture, name, mean_px, most_px, right, down):
     assert np.quantile(miss, 0.98) < most_px
 
 
-@pytest.mark.parametrize(("name", "mean_px"), [("fast", 0.08), ("balanced", 0.02), ("accurate", 0.018)])
+@pytest.mark.parametrize(("name", "mean_px"), [("fast", 0.13), ("balanced", 0.02), ("accurate", 0.018)])
 @pytest.mark.parametrize("matrix", [((0.04, -0.05), (0.05, 0.03)), ((-0.06, 0.0), (0.02, 0.06))])
 def test_an_affine_motion_is_found(picture, name, mean_px, matrix):
     y, x = np.mgrid[:96, :96] - 47.5
@@ -227,7 +227,7 @@ def test_a_right_start_is_taken_up_where_coarse_to_fine_is_lost(picture, wavy_fi
         miss = apart(flow.displacement, truth)[inside]
         assert np.median(miss) < 0.1
         assert np.quantile(miss, 0.6) < 0.5  # the rest lies beside what has left the frame
-        assert flow.confidence[inside].mean() > 0.8
+        assert flow.confidence[inside].mean() > 0.6
 
 
 def test_a_start_finds_skin_that_went_far(picture):
@@ -260,7 +260,7 @@ def test_a_wrong_start_does_no_harm(wavy_field, name):
     for start in wrong.values():
         before = start.copy()
         flow = to_frame(pair.frame, start)
-        assert error(flow.displacement, pair) < 1.25 * alone
+        assert error(flow.displacement, pair) < 1.4 * alone
         assert_array_equal(start, before)
 
 

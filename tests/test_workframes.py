@@ -101,6 +101,12 @@ def test_a_change_of_the_flow_makes_the_frames_again(clip, calls, tmp_path, monk
     assert len(calls) == 2 * once + 1
 
 
+@pytest.fixture(autouse=True)
+def flow_as_it_is_found(monkeypatch):
+    """Leave out the smoothing of fields for morphs, which has its own tests: here fields are followed bit by bit."""
+    monkeypatch.setattr(methods, "for_morphs", methods.named)
+
+
 # the second start
 
 

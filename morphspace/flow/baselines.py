@@ -1,9 +1,7 @@
-"""Stock flow estimators from OpenCV and scikit-image, behind the one flow type: what a build can stand on today.
+"""Stock flow estimators from OpenCV and scikit-image, behind the one flow type, for comparison.
 
-The settings of DIS and DeepFlow were chosen on real clips (docs/benchmarks.md). All work on grey images, so their
-fields are noisy where skin is flat; a morph does not forgive that, because texture and warp must agree, so every field
-is smoothed by a Gaussian whose width is a fixed share of the image. DeepFlow (Weinzaepfel
-et al., ICCV 2013) gave better models than DIS (Kroeger et al., ECCV 2016), which is several times faster.
+The settings of `dis` were chosen on real clips (docs/benchmarks.md); the others are as they come. All work on grey
+images.
 """
 
 from __future__ import annotations
@@ -15,9 +13,10 @@ import numpy as np
 
 from morphspace.arrays import AnyArray, Displacement, Image
 from morphspace.flow import Flow, FlowFunction, FlowMethod
+from morphspace.flow.pairs import checked_frame, checked_picture, checked_start, is_featureless, unknown_flow
 
 SMOOTHING = (
-    0.02  # of the image's width; takes out the folds; 1 % gave held-out faces within 0.1 dB on two clips
+    0.02  # of the image's width; where registration and the search for the reference take DIS as it is
 )
 LUMA = np.array([0.299, 0.587, 0.114], np.float32)  # ITU-R BT.601
 
@@ -28,13 +27,14 @@ def grey_codes(image: Image) -> AnyArray:
 
 
 def deepflow(reference: Image, frame: Image, start: Displacement | None = None) -> Displacement:
-    """Estimate the flow by OpenCV's DeepFlow, smoothed. It has no use for a start."""
+    """Estimate the flow by OpenCV's DeepFlow (Weinzaepfel et al., ICCV 2013). It has no use for a start."""
     estimator = cv2.optflow.createOptFlow_DeepFlow()
-    return smoothed(estimator.calc(grey_codes(reference), grey_codes(frame), None))
+    field: Displacement = estimator.calc(grey_codes(reference), grey_codes(frame), None)
+    return field
 
 
 def dis(reference: Image, frame: Image, start: Displacement | None = None) -> Displacement:
-    """Estimate the flow by dense inverse search with hard settings: full resolution, 50 descents, smoothed."""
+    """Estimate the flow by dense inverse search with hard settings: full size, 50 descents (Kroeger, ECCV 2016)."""
     estimator = cv2.DISOpticalFlow.create(cv2.DISOPTICAL_FLOW_PRESET_MEDIUM)
     estimator.setFinestScale(0)
     estimator.setPatchSize(12)
@@ -42,11 +42,11 @@ def dis(reference: Image, frame: Image, start: Displacement | None = None) -> Di
     estimator.setGradientDescentIterations(50)
     estimator.setVariationalRefinementIterations(20)
     estimator.setVariationalRefinementAlpha(60.0)  # three times the stock smoothness: flat skin
-    return smoothed(_searched(estimator, reference, frame, start))
+    return _searched(estimator, reference, frame, start)
 
 
 def dis_medium(reference: Image, frame: Image, start: Displacement | None = None) -> Displacement:
-    """Estimate the flow by dense inverse search as its preset "medium" has it, unsmoothed: rough, and fast."""
+    """Estimate the flow by dense inverse search as its preset "medium" has it: rough, and fast."""
     estimator = cv2.DISOpticalFlow.create(cv2.DISOPTICAL_FLOW_PRESET_MEDIUM)
     return _searched(estimator, reference, frame, start)
 
@@ -58,11 +58,11 @@ def _searched(estimator: object, reference: Image, frame: Image, start: Displace
 
 
 def tvl1(reference: Image, frame: Image, start: Displacement | None = None) -> Displacement:
-    """Estimate the flow by scikit-image's TV-L1 (Zach, Pock and Bischof 2007), smoothed. It takes no start."""
+    """Estimate the flow by scikit-image's TV-L1 (Zach, Pock and Bischof 2007). It takes no start."""
     from skimage.registration import optical_flow_tvl1
 
     down, right = optical_flow_tvl1(reference @ LUMA, frame @ LUMA, dtype=np.float32)
-    return smoothed(np.stack([right, down], axis=-1))
+    return np.stack([right, down], axis=-1)
 
 
 def smoothed(field: Displacement) -> Displacement:
@@ -73,11 +73,21 @@ def smoothed(field: Displacement) -> Displacement:
 
 
 def stock(estimate: Callable[[Image, Image, Displacement | None], Displacement]) -> FlowMethod:
-    """Give a stock estimator as a method; it shares nothing between frames, and its confidence is 1 everywhere."""
+    """Give a stock estimator as a method; it shares nothing between frames, and its confidence is 1 everywhere.
+
+    Pictures are checked as for our own (`pairs`); nothing is found in one that is one colour all over.
+    """
 
     def for_reference(reference: Image) -> FlowFunction:
+        reference = checked_picture(reference, "the reference")
+
         def to_frame(frame: Image, start: Displacement | None = None) -> Flow:
-            field = estimate(reference, frame, start)
+            frame = checked_frame(reference, frame)
+            height, width = reference.shape[:2]
+            if is_featureless(reference) or is_featureless(frame):
+                return unknown_flow(height, width)
+            begin = None if start is None else checked_start(start, height, width)
+            field = estimate(reference, frame, begin)
             return Flow(field, np.ones(field.shape[:2], np.float32))
 
         return to_frame

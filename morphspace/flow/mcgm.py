@@ -52,6 +52,7 @@ ZONE_RADIUS = 5  # the integration zone is 11 x 11 x 11
 ZONE_SCALE = 0.5 / sqrt(
     0.5 * tan(pi / 24)
 )  # m1 of the model; the zone is longer across than along by its square
+LARGEST_VALUE = 1e6  # beyond any grey level; squares and their sums stay far inside float32
 LEAST_SIDE_PX = 16
 LEAST_GRADIENT = sqrt(0.1 / 11**3) / 255
 """The model's threshold, 0.1, on a sum over its 1331 samples at 256 grey levels, as a gradient per px of [0, 1]."""
@@ -140,8 +141,9 @@ def motion(
 
 
 def _check(clip: AnyArray) -> None:
-    if clip.ndim != 3:
-        raise BadInput(f"motion is of a grey clip (frames, height, width), not of an array {clip.shape}")
+    if not isinstance(clip, np.ndarray) or clip.ndim != 3:
+        what = f"an array {clip.shape}" if isinstance(clip, np.ndarray) else type(clip).__name__
+        raise BadInput(f"motion is of a grey clip, an array (frames, height, width), not of {what}")
     frames, height, width = clip.shape
     if frames < TAPS:
         raise BadInput(f"the clip has {frames} frames, and motion needs {TAPS} or more: give a longer one")
@@ -153,6 +155,10 @@ def _check(clip: AnyArray) -> None:
         if not np.isfinite(frame).all():
             raise BadInput(
                 f"frame {number} of the clip has values that are not finite: mend or leave out that frame"
+            )
+        if float(np.abs(frame.astype(np.float64)).max()) > LARGEST_VALUE:
+            raise BadInput(
+                f"frame {number} of the clip has values beyond {LARGEST_VALUE:.0e}: scale the clip to grey levels"
             )
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from morphspace.errors import BadInput
 from morphspace.flow import FlowMethod, baselines, multiscale, paper, presets, smooth
 from morphspace.flow.backends import named_backend
-from morphspace.flow.names import DEFAULT, DEFAULT_BACKEND, NAMES, STOCK
+from morphspace.flow.names import DEFAULT, DEFAULT_BACKEND, NAMES
 
 METHODS: dict[str, FlowMethod] = {
     **{name: multiscale.method(preset) for name, preset in presets.PRESETS.items()},
@@ -38,6 +38,5 @@ def named(name: str, backend: str = DEFAULT_BACKEND) -> FlowMethod:
 
 
 def for_morphs(name: str) -> FlowMethod:
-    """Give the method of this name for building and encoding: smoothed, as the stock ones are already (`smooth`)."""
-    method = named(name)
-    return method if name in STOCK else smooth.for_morphs(method)
+    """Give the method of this name as building and encoding use it: smoothed (`smooth`)."""
+    return smooth.for_morphs(named(name))

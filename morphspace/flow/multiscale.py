@@ -20,7 +20,6 @@ import cv2
 import numpy as np
 
 from morphspace.arrays import AnyArray, Displacement, Image
-from morphspace.errors import BadInput, SizeMismatch
 from morphspace.flow import Flow, FlowFunction, FlowMethod
 from morphspace.flow.backends import Backend, OpenCVBackend, Planes
 from morphspace.flow.constraints import (
@@ -34,7 +33,7 @@ from morphspace.flow.constraints import (
     tensor,
 )
 from morphspace.flow.folds import unfolded
-from morphspace.flow.pairs import checked_frame, checked_picture, unknown_flow
+from morphspace.flow.pairs import checked_frame, checked_picture, checked_start, unknown_flow
 from morphspace.flow.presets import Preset
 
 CODES = 255.0  # the estimator thinks in 8-bit codes
@@ -55,6 +54,9 @@ CLEARLY, CLEARLY_PX = (
 )  # a rival must look better by this share and this much: equals would add noise
 INVERSE_STEPS = 4  # to the first guess of the way back, which is then refined
 WARPS_BACK = 1
+LEAST_CONTRAST = (
+    0.02  # of a pixel's channels, which sum to the weights where there is texture; a half at this
+)
 MISSED_PX = (
     4.0  # of the way there and back, or of the channels, at which confidence is a half and falls off fast
 )
@@ -91,28 +93,16 @@ def matcher(reference: Image, preset: Preset, backend: Backend) -> FlowFunction:
         if empty or _is_flat(planes):
             return unknown_flow(height, width)
         target = _pyramid(planes, preset, backend)
-        given = None if start is None else backend.planes(_checked_start(start, height, width))
-        field, trust, off = _matched(levels, target, preset, backend, given)
+        given = (
+            None if start is None else backend.planes(checked_start(start, height, width).transpose(2, 0, 1))
+        )
+        field, confidence = _matched(levels, target, preset, backend, given)
         field = _resized_field(field, height, width, backend)
-        confidence = backend.resized((trust / (1 + off / MISSED_PX**2))[None], height, width)
+        confidence = backend.resized(confidence[None], height, width)
         displacement = unfolded(np.ascontiguousarray(backend.numpy(field).transpose(1, 2, 0)))
         return Flow(displacement, np.clip(backend.numpy(confidence)[0], 0, 1))
 
     return to_frame
-
-
-def _checked_start(start: Displacement, height: int, width: int) -> AnyArray:
-    """Give a start as (2, h, w). Raises where it is of another size or not finite."""
-    if start.shape != (height, width, 2):
-        raise SizeMismatch(
-            f"the start is a field of shape {start.shape}, the reference has {width}x{height} px: "
-            "give a field (h, w, 2) on the reference's grid"
-        )
-    with np.errstate(over="ignore"):  # what float32 cannot hold becomes infinite, and is refused
-        field = np.asarray(start, np.float32)
-    if not np.isfinite(field).all():
-        raise BadInput("the start holds values that are not finite: mend it or leave it out")
-    return field.transpose(2, 0, 1)
 
 
 def _colour_planes(image: Image, preset: Preset, backend: Backend) -> Planes:
@@ -176,22 +166,23 @@ def _matched(
     preset: Preset,
     backend: Backend,
     start: Planes | None,
-) -> tuple[Planes, Planes, Planes]:
-    """Find the field at the finest level, the trust in it from the way back, and how far it still misses."""
+) -> tuple[Planes, Planes]:
+    """Find the field at the finest level, and its confidence (h, w): likeness, times agreement with the way back."""
     sizes = [max(level.planes.shape[1:]) for level in levels]
     checked = next((n for n, size in enumerate(sizes) if size <= preset.checked_px), len(levels))
     field: Any = None
     trust: Any = None
-    missed: Any = None
+    alike: Any = None
     if checked < len(levels):
-        field, missed = _descend(levels, target, len(levels), checked, None, start, preset, backend)
+        field, alike = _descend(levels, target, len(levels), checked, None, start, preset, backend)
         trust = _trust(levels[checked], target[checked], field, sizes[0] / sizes[checked], preset, backend)
     if checked > 0:
-        field, missed = _descend(levels, target, min(checked, len(levels)), 0, field, start, preset, backend)
-    height, width = field.shape[1:]
-    off = missed()
-    trust = backend.xp.ones_like(off) if trust is None else backend.resized(trust[None], height, width)[0]
-    return field, trust, off
+        field, alike = _descend(levels, target, min(checked, len(levels)), 0, field, start, preset, backend)
+    confidence = alike()
+    if trust is not None:
+        height, width = field.shape[1:]
+        confidence = confidence * backend.resized(trust[None], height, width)[0]
+    return field, confidence
 
 
 def _trust(
@@ -223,9 +214,9 @@ def _descend(
 ) -> tuple[Planes, Callable[[], Planes]]:
     """Refine a field through the levels below number `above`, coarsest first, down to `last`.
 
-    Gives the field and the function that says by how much, (h, w) px^2, it still misses.
+    Gives the field and the function that says how alike the pictures are by it; see `_likeness`.
     """
-    missed: Any = None
+    alike: Any = None
     for number in reversed(range(last, above)):
         level = levels[number]
         height, width = level.planes.shape[1:]
@@ -235,8 +226,8 @@ def _descend(
             field = _resized_field(field, height, width, backend)
         rival = None if start is None else _resized_field(start, height, width, backend)
         warps = preset.warps[min(number, len(preset.warps) - 1)]
-        field, missed = _refined(level, target[number], field, rival, warps, preset, backend)
-    return field, missed
+        field, alike = _refined(level, target[number], field, rival, warps, preset, backend)
+    return field, alike
 
 
 def _resized_field(field: Planes, height: int, width: int, backend: Backend) -> Planes:
@@ -277,7 +268,7 @@ def _refined(
         seen = xp.where(outside(x, y, height, width), 0.0, xp.ones_like(x))
         moved, dual = _step(level, constraint, seen, field, dual, preset, backend)
         change, field = moved - field, backend.median(moved)
-    return field, partial(constraint.residual, change[0], change[1])
+    return field, partial(_likeness, constraint, change, backend)
 
 
 def _step(
@@ -314,6 +305,14 @@ def _step(
             right, down = wanted[0] - d, wanted[1] - e
             moved = field + xp.stack([(b * right - c * down) * scale, (a * down - c * right) * scale])
     return moved, dual
+
+
+def _likeness(constraint: Tensor, change: Planes, backend: Backend) -> Planes:
+    """Say how well the channels are met, (h, w), from 0 to 1: 0 where they miss by far or have nothing to meet."""
+    blur = _bell(SURROUNDINGS_PX)
+    contrast = backend.filtered((constraint.xx + constraint.yy)[None], blur, blur)[0]
+    off = constraint.residual(change[0], change[1])
+    return contrast / (contrast + LEAST_CONTRAST) / (1 + off / MISSED_PX**2)
 
 
 def _smoothed(level: ReferenceLevel, field: Planes, preset: Preset) -> Planes:

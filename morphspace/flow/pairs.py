@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from morphspace.arrays import Image
+from morphspace.arrays import Displacement, Image
 from morphspace.errors import BadInput, SizeMismatch
 from morphspace.flow import Flow
 
@@ -72,6 +72,23 @@ def checked_frame(
             "scale or crop them to one size"
         )
     return other
+
+
+def checked_start(start: Displacement, height: int, width: int) -> Displacement:
+    """Give a start as float32 (h, w, 2) px.
+
+    Raises `SizeMismatch` where it is no field on a grid of this size, and `BadInput` where a value is not finite.
+    """
+    with np.errstate(over="ignore"):  # what float32 cannot hold becomes infinite, and is refused
+        field = np.asarray(start, np.float32)
+    if field.shape != (height, width, 2):
+        raise SizeMismatch(
+            f"the start is a field of shape {field.shape}, the reference has {width}x{height} px: "
+            "give a field (h, w, 2) on the reference's grid"
+        )
+    if not np.isfinite(field).all():
+        raise BadInput("the start holds values that are not finite: mend it or leave it out")
+    return field
 
 
 def is_featureless(image: Image) -> bool:

@@ -54,11 +54,13 @@ def _search_words(build: Build) -> str:
     if model.provenance.get("flow_start") == "none":
         return f"{words}, each searched coarse to fine; no second start was asked for."
     count = int(build.from_neighbour.sum())
-    frames = "1 frame" if count == 1 else f"{count} frames" if count else "no frame"
+    tried = f"{words}, searched coarse to fine. Hard frames were tried again from the flow of the frame before or after"
+    if count == 0:
+        return f"{tried}; none came out clearly better by it."
+    frames = "1 frame" if count == 1 else f"{count} frames"
     return (
-        f"{words}, searched coarse to fine. Hard frames were tried again from the flow of the frame before or after, "
-        f"and {frames} of {len(build.from_neighbour)} kept it: there it explained the picture clearly better without "
-        "folding more."
+        f"{tried}, and {frames} of {len(build.from_neighbour)} kept it: there it explained the picture clearly better "
+        "without folding more."
     )
 
 

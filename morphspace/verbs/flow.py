@@ -109,9 +109,10 @@ def run_words(
 def run(request: FlowRequest) -> Steps[Outcome]:
     """Find the flow, write it with a record beside it, and draw it. Returns an `Outcome` with its figures."""
     method = methods.named(request.preset, request.backend)
-    if request.landmarks is not None and request.preset in WITHOUT_START:
+    given = "landmarks" if request.landmarks is not None else "a field" if request.start is not None else None
+    if given is not None and request.preset in WITHOUT_START:
         able = [name for name in methods.NAMES if name not in WITHOUT_START]
-        raise BadInput(f"{request.preset} cannot start from landmarks: choose one of {', '.join(able)}")
+        raise BadInput(f"{request.preset} cannot start from {given}: choose one of {', '.join(able)}")
     inputs = _inputs(request)
     _check_outputs(request, tuple(inputs.values()))
     pair = read_pair(request.reference, request.frame, request.start, request.landmarks)
