@@ -69,7 +69,7 @@ ACCURATE = Preset(
 BALANCED = replace(
     ACCURATE,
     factor=0.5,
-    warps=(1, 2),
+    warps=(1, 2, 4),
     channels=replace(ACCURATE.channels, weights=(1.0, 1.0, 1.0)),
     smoothings=1,
     strength=10.0,
