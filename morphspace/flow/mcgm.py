@@ -52,6 +52,7 @@ ZONE_RADIUS = 5  # the integration zone is 11 x 11 x 11
 ZONE_SCALE = 0.5 / sqrt(
     0.5 * tan(pi / 24)
 )  # m1 of the model; the zone is longer across than along by its square
+MOST_SD_PX = 100.0  # wider than any picture this is meant for
 LARGEST_VALUE = 1e6  # beyond any grey level; squares and their sums stay far inside float32
 LEAST_SIDE_PX = 16
 LEAST_GRADIENT = sqrt(0.1 / 11**3) / 255
@@ -114,7 +115,13 @@ def motion(
     is not (t, h, w), shorter than 23 frames, smaller than 16 px, or not finite, and for filters that cannot be.
     """
     _check(clip)
-    if not (sd_px > 0 and zone_sd_px >= 0 and plane > 0 and least_gradient > 0 and 0 <= time_scale < inf):
+    if not (
+        0 < sd_px < MOST_SD_PX
+        and 0 <= zone_sd_px < MOST_SD_PX
+        and plane > 0
+        and least_gradient > 0
+        and 0 <= time_scale < inf
+    ):
         raise BadInput(
             f"there is no motion with sd_px {sd_px}, zone_sd_px {zone_sd_px}, plane {plane}, least_gradient "
             f"{least_gradient} and time_scale {time_scale}: give numbers above 0 (zone and time scale may be 0)"
@@ -141,8 +148,10 @@ def motion(
 
 
 def _check(clip: AnyArray) -> None:
-    if not isinstance(clip, np.ndarray) or clip.ndim != 3:
-        what = f"an array {clip.shape}" if isinstance(clip, np.ndarray) else type(clip).__name__
+    if not isinstance(clip, np.ndarray) or clip.ndim != 3 or clip.dtype.kind not in "fiub":
+        what = (
+            f"an array {clip.shape} of {clip.dtype}" if isinstance(clip, np.ndarray) else type(clip).__name__
+        )
         raise BadInput(f"motion is of a grey clip, an array (frames, height, width), not of {what}")
     frames, height, width = clip.shape
     if frames < TAPS:
@@ -172,9 +181,9 @@ def temporal_kernels(alpha_frames: float = 10.0, tau: float = 0.2) -> AnyArray:
     Raises `BadInput` where the kernel does not fit in 23 frames or is narrower than they can sample (sum of k0 off by
     more than 1e-3, of k1 and k2 by more than 1e-2).
     """
-    if not (0 < alpha_frames < inf and 0 < tau < inf):
+    if not (0 < alpha_frames < TAPS and 0 < tau < TAPS):
         raise BadInput(
-            f"a log-Gaussian needs a peak and a width above 0, not {alpha_frames} frames and {tau}"
+            f"a log-Gaussian needs a peak and a width above 0 and under {TAPS}, not {alpha_frames} frames and {tau}"
         )
     back = np.arange(1.0, TAPS)
     log = np.log(back / alpha_frames)

@@ -4,8 +4,7 @@ From the coarsest scale to the finest, the frame is sampled at the present field
 many px it is still off (`constraints`), and the field takes the step that agrees best with all channels and with its
 neighbours: robust least squares, solved by alternating a 2 x 2 solve at each pixel with an edge-aware smoothing of the
 whole field (alternating direction method of multipliers, so that both agree in the end). In between each pixel may take
-over the motion of a pixel near by, or of a field it was given as a start, where that looks more alike: this is how a
-lower lip, too small to be seen at the scale at which the jaw is found, follows the jaw.
+over the motion of a field it was given as a start, and with some presets of a pixel near by, where that looks more alike.
 """
 
 from __future__ import annotations
@@ -298,12 +297,11 @@ def _step(
         a += preset.coupling
         b += preset.coupling
         scale = 1 / (a * b - c * c)
-        for _ in range(preset.alternations):
-            smooth = _smoothed(level, moved + dual, preset)
-            dual = dual + moved - smooth
-            wanted = preset.coupling * (smooth - dual - field)
-            right, down = wanted[0] - d, wanted[1] - e
-            moved = field + xp.stack([(b * right - c * down) * scale, (a * down - c * right) * scale])
+        smooth = _smoothed(level, moved + dual, preset)
+        dual = dual + moved - smooth
+        wanted = preset.coupling * (smooth - dual - field)
+        right, down = wanted[0] - d, wanted[1] - e
+        moved = field + xp.stack([(b * right - c * down) * scale, (a * down - c * right) * scale])
     return moved, dual
 
 
@@ -357,9 +355,8 @@ def _with_rivals(
     if max(height, width) > preset.rivals_px:
         return field
     step = preset.rival_step_px
-    for _ in range(preset.rival_rounds):
-        for right, down in ((0, step), (0, -step), (step, 0), (-step, 0)):
-            field, least = taken_over(_moved_over(field, right, down, xp), field, least)
+    for right, down in ((0, step), (0, -step), (step, 0), (-step, 0)):
+        field, least = taken_over(_moved_over(field, right, down, xp), field, least)
     return field
 
 

@@ -23,8 +23,8 @@ class Preset:
     `coarse_light`, the weight of order 0 at coarse scales. `robust_px`: residuals above it count less and less.
     `integration_px`: sd over which constraints are pooled. `coupling` of the pixelwise solution to the smooth field,
     `strength` and `edge_codes` of the smoother (`Backend.smoother`), `smoothings` 1 (slope costs) or 2 (bending costs).
-    `rounds` of robust weights a warp, and `alternations` of solution and smoothing in each. `rivals_px`: the longer
-    side up to which the motions of pixels near by are tried, `rival_step_px` how far off, `rival_rounds` how often.
+    `rounds` a warp of robust weights, solution and smoothing. `rivals_px`: the longer
+    side up to which the motions of pixels near by are tried, `rival_step_px` how far off.
     `checked_px`: the longer side at which the way back is compared (0: not at all).
     """
 
@@ -41,10 +41,8 @@ class Preset:
     edge_codes: float = 10.0
     smoothings: Literal[1, 2] = 2
     rounds: int = 3
-    alternations: int = 1
     rivals_px: int = 140
     rival_step_px: int = 3
-    rival_rounds: int = 1
     checked_px: int = 0
 
     @cached_property
