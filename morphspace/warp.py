@@ -13,6 +13,8 @@ reproduce a ramp and its Lanczos rounds the position.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import cv2
 import numpy as np
 
@@ -46,20 +48,30 @@ def sample_at(image: Image, x: AnyArray, y: AnyArray) -> Image:
 
 def sample_spline(coefficients: Image, x: AnyArray, y: AnyArray) -> Image:
     """Read the cubic B-spline of `coefficients` (H, W, c) or (H, W) at finite points (x, y) px, each (h, w)."""
-    height, width = coefficients.shape[:2]
+    if coefficients.ndim == 2:
+        return sample_splines([coefficients], x, y)[0]
+    planes = [np.ascontiguousarray(coefficients[..., c]) for c in range(coefficients.shape[2])]
+    return np.stack(sample_splines(planes, x, y), axis=-1)
+
+
+def sample_splines(planes: Sequence[AnyArray], x: AnyArray, y: AnyArray) -> list[AnyArray]:
+    """Read cubic B-splines, each of coefficients (H, W), at finite points (x, y) px: one (h, w) for each."""
+    height, width = planes[0].shape
     (left, right, from_left, from_right) = _spline_pairs(np.clip(x, 0, width - 1))
     (top, bottom, from_top, from_bottom) = _spline_pairs(np.clip(y, 0, height - 1))
-    if coefficients.ndim == 3:
-        from_left, from_right = from_left[..., None], from_right[..., None]
-        from_top, from_bottom = from_top[..., None], from_bottom[..., None]
-    upper = _linear(coefficients, left, top) * from_left
-    upper += _linear(coefficients, right, top) * from_right
-    upper *= from_top
-    lower = _linear(coefficients, left, bottom) * from_left
-    lower += _linear(coefficients, right, bottom) * from_right
-    lower *= from_bottom
-    upper += lower
-    return upper
+    read = []
+    for plane in planes:
+        upper = _linear(plane, left, top)
+        upper *= from_left
+        upper += _linear(plane, right, top) * from_right
+        upper *= from_top
+        lower = _linear(plane, left, bottom)
+        lower *= from_left
+        lower += _linear(plane, right, bottom) * from_right
+        lower *= from_bottom
+        upper += lower
+        read.append(upper)
+    return read
 
 
 def _check_positions(x: AnyArray, y: AnyArray) -> None:

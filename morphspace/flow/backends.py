@@ -18,7 +18,7 @@ import numpy as np
 from morphspace.arrays import AnyArray
 from morphspace.errors import BadInput
 from morphspace.flow.filters import BORDER
-from morphspace.warp import sample_spline, spline_coefficients
+from morphspace.warp import sample_splines, spline_coefficients
 
 Planes = Any
 """(c, h, w) float32, a numpy array or a torch tensor, as the backend has it."""
@@ -106,14 +106,10 @@ class OpenCVBackend:
         return out
 
     def sampler(self, planes: AnyArray) -> Callable[[AnyArray, AnyArray], AnyArray]:
-        interleaved = np.ascontiguousarray(planes.transpose(1, 2, 0))
-        coefficients = spline_coefficients(interleaved[..., 0] if len(planes) == 1 else interleaved)
+        coefficients = [spline_coefficients(plane) for plane in planes]
 
         def read(x: AnyArray, y: AnyArray) -> AnyArray:
-            image = sample_spline(coefficients, x, y)
-            if image.ndim == 2:
-                return image[None]
-            return np.ascontiguousarray(image.transpose(2, 0, 1))
+            return np.stack(sample_splines(coefficients, x, y))
 
         return read
 

@@ -85,7 +85,12 @@ def matcher(reference: Image, preset: Preset, backend: Backend) -> FlowFunction:
     height, width = reference.shape[:2]
     planes = _colour_planes(reference, preset, backend)
     empty = _is_flat(planes)
-    levels = [_reference_level(scaled, preset, backend) for scaled in _pyramid(planes, preset, backend)]
+    levels = [
+        _reference_level(
+            scaled, preset, backend, backend.smoother(scaled, preset.strength, preset.edge_codes)
+        )
+        for scaled in _pyramid(planes, preset, backend)
+    ]
 
     def to_frame(frame: Image, start: Displacement | None = None) -> Flow:
         frame = checked_frame(reference, frame)
@@ -146,7 +151,9 @@ def _bell(sd_px: float) -> AnyArray:
     return kernel / kernel.sum()
 
 
-def _reference_level(planes: Planes, preset: Preset, backend: Backend) -> ReferenceLevel:
+def _reference_level(
+    planes: Planes, preset: Preset, backend: Backend, smooth: Callable[[Planes], Planes]
+) -> ReferenceLevel:
     height, width = planes.shape[1:]
     derivatives = half_derivatives(backend, planes, preset.channels)
     x, y = np.meshgrid(np.arange(width, dtype=np.float32), np.arange(height, dtype=np.float32))
@@ -154,7 +161,7 @@ def _reference_level(planes: Planes, preset: Preset, backend: Backend) -> Refere
         planes=planes,
         derivatives=derivatives,
         appearance=appearance(backend, derivatives, preset.channels),
-        smooth=backend.smoother(planes, preset.strength, preset.edge_codes),
+        smooth=smooth,
         x=backend.planes(x),
         y=backend.planes(y),
     )
@@ -190,10 +197,10 @@ def _trust(
 ) -> Planes:
     """Say how well the way back agrees with the field at each pixel, (h, w), 1 where they cancel.
 
-    The way back starts from the field's inverse and may then correct itself by the pictures; `px` is how many px of
-    the finest level one of this level is.
+    The way back starts from the field's inverse and may then correct itself by the pictures, pixel by pixel; `px` is
+    how many px of the finest level one of this level is.
     """
-    back_level = _reference_level(target, preset, backend)
+    back_level = _reference_level(target, preset, backend, lambda planes: planes)
     back = -field
     for _ in range(INVERSE_STEPS):
         back = -backend.looked_up(field, level.x + back[0], level.y + back[1])

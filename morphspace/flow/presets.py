@@ -73,7 +73,7 @@ BALANCED = replace(
     strength=10.0,
     rounds=2,
     rivals_px=0,
-    checked_px=70,
+    checked_px=0,
 )
 FAST = replace(
     ACCURATE,
