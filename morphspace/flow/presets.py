@@ -78,9 +78,9 @@ BALANCED = replace(
 FAST = replace(
     ACCURATE,
     colours="grey",
-    finest=0.5,
+    finest=0.45,
     factor=0.5,
-    warps=(2, 1, 1),
+    warps=(2, 2, 1),
     channels=replace(ACCURATE.channels, weights=(0.0, 1.0, 1.0)),
     integration_px=0.0,
     coarse_light=2.0,
