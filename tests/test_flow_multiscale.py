@@ -147,7 +147,10 @@ def test_a_constant_added_to_the_frame_changes_nothing(name, constant):
         field_of(name, pair.reference, pair.frame + np.float32(constant)), found(name).displacement
     )
     assert np.median(change) < 1e-4  # px
-    assert np.quantile(change, 0.95) < 1e-3
+    most = (
+        0.02 if name == "fast" else 1e-3
+    )  # one round, no pooling: rounding is amplified where there is little to see
+    assert np.quantile(change, 0.95) < most
     assert change.max() < 0.05  # two motions that look alike to rounding are exchanged
 
 
