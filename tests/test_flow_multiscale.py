@@ -151,7 +151,9 @@ def test_a_constant_added_to_the_frame_changes_nothing(name, constant):
         0.02 if name == "fast" else 1e-3
     )  # one round, no pooling: rounding is amplified where there is little to see
     assert np.quantile(change, 0.95) < most
-    assert change.max() < 0.05  # two motions that look alike to rounding are exchanged
+    assert change.max() < (
+        0.2 if name == "fast" else 0.05
+    )  # motions that look alike to rounding are exchanged
 
 
 @pytest.mark.parametrize(("name", "px"), [("fast", 0.35), ("balanced", 0.17), ("accurate", 0.14)])
