@@ -43,14 +43,10 @@ def sample(image: Image, displacement: Displacement) -> Image:
 def sample_at(image: Image, x: AnyArray, y: AnyArray) -> Image:
     """Read `image` (H, W, c) at the points (x, y) px, arrays of one shape (h, w), by cubic B-spline; see `sample`."""
     _check_positions(x, y)
-    return sample_spline(spline_coefficients(image), x, y)
-
-
-def sample_spline(coefficients: Image, x: AnyArray, y: AnyArray) -> Image:
-    """Read the cubic B-spline of `coefficients` (H, W, c) or (H, W) at finite points (x, y) px, each (h, w)."""
-    if coefficients.ndim == 2:
+    coefficients = spline_coefficients(image)
+    if image.ndim == 2:
         return sample_splines([coefficients], x, y)[0]
-    planes = [np.ascontiguousarray(coefficients[..., c]) for c in range(coefficients.shape[2])]
+    planes = [np.ascontiguousarray(coefficients[..., c]) for c in range(image.shape[2])]
     return np.stack(sample_splines(planes, x, y), axis=-1)
 
 

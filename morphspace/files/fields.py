@@ -13,13 +13,13 @@ import struct
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import OpenImageIO as oiio
 
 from morphspace.arrays import AnyArray, Mask
 from morphspace.errors import BadInput, UnreadableFile, UnwritableFile
+from morphspace.files.images import first_line, write_through
 from morphspace.flow import Flow
 from morphspace.storage import whole_file
 
@@ -164,7 +164,7 @@ def _read_flo(path: Path) -> tuple[AnyArray, Mask]:
 def _read_exr(path: Path) -> tuple[AnyArray, Mask]:
     source = oiio.ImageInput.open(str(path))
     if source is None or source.format_name() != "openexr":
-        reason = _first_line(oiio.geterror()) if source is None else f"it is a {source.format_name()} file"
+        reason = first_line(oiio.geterror()) if source is None else f"it is a {source.format_name()} file"
         raise UnreadableFile(f"{path} is not a readable EXR file: {reason}")
     try:
         spec = source.spec()
@@ -181,7 +181,7 @@ def _read_exr(path: Path) -> tuple[AnyArray, Mask]:
         stored = source.read_image(0, 0, 0, spec.nchannels, "float")
         if stored is None or source.has_error:
             raise UnreadableFile(
-                f"{path} is damaged or cut short ({path.stat().st_size} bytes): {_first_line(source.geterror())}; "
+                f"{path} is damaged or cut short ({path.stat().st_size} bytes): {first_line(source.geterror())}; "
                 "copy it again"
             )
     finally:
@@ -203,16 +203,7 @@ def _write_into(temporary: Path, path: Path, field: AnyArray, confidence: Mask) 
     spec.channelnames = CHANNELS
     spec.attribute("DateTime", "")  # else the hour of writing enters the file and equal fields differ
     spec.attribute("compression", "zip")
-    target = oiio.ImageOutput.create(str(temporary))
-    if target is None:
-        raise UnwritableFile(f"cannot write {path}: {_first_line(oiio.geterror())}")
-    done = target.open(str(temporary), spec)
-    if done:
-        done = target.write_image(np.ascontiguousarray(values))
-        done = target.close() and done
-    if not done or target.has_error:
-        reason = _first_line(target.geterror()).replace(str(temporary), str(path))
-        raise UnwritableFile(f"cannot write {path}: {reason}; is the disk full? Nothing was changed")
+    write_through(path, temporary, spec, values)
     _check_written(path, temporary, values)
 
 
@@ -226,7 +217,3 @@ def _check_written(path: Path, temporary: Path, values: AnyArray) -> None:
         ) from error
     if not np.array_equal(np.dstack([field, confidence]), values):
         raise UnwritableFile(f"cannot write {path}: it reads back with other values; nothing was changed")
-
-
-def _first_line(text: Any) -> str:
-    return str(text).strip().split("\n")[0].strip() or "no reason given"

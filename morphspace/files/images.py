@@ -190,7 +190,7 @@ def _open(path: Path) -> Any:
     wish.attribute("oiio:UnassociatedAlpha", 1)  # keep colour as stored; compositing is ours
     source = oiio.ImageInput.open(str(path), wish)
     if source is None:
-        raise UnreadableFile(f"{path} ({size} bytes) is not a readable image: {_first_line(oiio.geterror())}")
+        raise UnreadableFile(f"{path} ({size} bytes) is not a readable image: {first_line(oiio.geterror())}")
     kind = source.format_name()
     if kind not in READ_FORMATS:
         source.close()
@@ -218,7 +218,7 @@ def _read_stored(path: Path) -> tuple[AnyArray, tuple[str, ...], Any]:
             # JPEG gives pixels and an error together: the missing rows are grey.
             raise UnreadableFile(
                 f"{path} is damaged or cut short ({path.stat().st_size} bytes): "
-                f"{_first_line(source.geterror())}; "
+                f"{first_line(source.geterror())}; "
                 "copy it again"
             )
     finally:
@@ -319,17 +319,25 @@ def _write_with_oiio(path: Path, values: AnyArray, kind: str) -> None:
     if path.suffix.lower() in (".tif", ".tiff"):
         spec.attribute("Exif:ColorSpace", 1)  # sRGB; without any Exif entry a false error is reported
     with whole_file(path) as temporary:
-        target = oiio.ImageOutput.create(str(temporary))
-        if target is None:
-            raise UnwritableFile(f"cannot write {path}: {_first_line(oiio.geterror())}")
-        done = target.open(str(temporary), spec)
-        if done:
-            done = target.write_image(np.ascontiguousarray(values))
-            done = target.close() and done
-        if not done or target.has_error:
-            reason = _first_line(target.geterror()).replace(str(temporary), str(path))
-            raise UnwritableFile(f"cannot write {path}: {reason}; is the disk full? Nothing was changed")
+        write_through(path, temporary, spec, values)
         _check_written(path, temporary, values)
+
+
+def write_through(path: Path, temporary: Path, spec: oiio.ImageSpec, values: AnyArray) -> None:
+    """Write values by OpenImageIO into `temporary`, which is to become `path`.
+
+    Raises `UnwritableFile`, with OpenImageIO's reason.
+    """
+    target = oiio.ImageOutput.create(str(temporary))
+    if target is None:
+        raise UnwritableFile(f"cannot write {path}: {first_line(oiio.geterror())}")
+    done = target.open(str(temporary), spec)
+    if done:
+        done = target.write_image(np.ascontiguousarray(values))
+        done = target.close() and done
+    if not done or target.has_error:
+        reason = first_line(target.geterror()).replace(str(temporary), str(path))
+        raise UnwritableFile(f"cannot write {path}: {reason}; is the disk full? Nothing was changed")
 
 
 def _check_written(path: Path, temporary: Path, values: AnyArray) -> None:
@@ -358,5 +366,6 @@ def _jpeg_options(quality: int) -> list[int]:
     ]
 
 
-def _first_line(text: str) -> str:
+def first_line(text: str) -> str:
+    """Give the first line of what a library says of a failure."""
     return text.strip().split("\n")[0].strip() or "no reason given"

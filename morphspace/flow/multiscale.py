@@ -22,6 +22,7 @@ import numpy as np
 from morphspace.arrays import AnyArray, Displacement, Image
 from morphspace.flow import Flow, FlowFunction, FlowMethod
 from morphspace.flow.backends import Backend, OpenCVBackend, Planes
+from morphspace.flow.baselines import LUMA
 from morphspace.flow.constraints import (
     Appearance,
     Derivatives,
@@ -37,7 +38,6 @@ from morphspace.flow.pairs import checked_frame, checked_picture, checked_start,
 from morphspace.flow.presets import Preset
 
 CODES = 255.0  # the estimator thinks in 8-bit codes
-LUMA = np.array([0.299, 0.587, 0.114], np.float32)  # ITU-R BT.601
 LEAST_CONTRAST_CODES = (
     0.5  # between the darkest and the brightest value of a plane; below it there is nothing to find
 )
