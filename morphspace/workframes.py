@@ -29,7 +29,7 @@ from morphspace.progress import Step, Steps, in_order
 from morphspace.storage import digest_of_array, digest_of_json, read_container, write_container
 
 FRAME_FORMAT = "morphspace-work-frame-2"
-FLOW_VERSION = 4  # raise it when any flow method gives another field: kept frames are then made again
+FLOW_VERSION = 5  # raise it when any flow method gives another field: kept frames are then made again
 KEY_DIGITS = 32  # of the digest in a file's name
 
 FrameStart = Literal["coarse to fine", "neighbour"]

@@ -175,22 +175,31 @@ def test_results_are_new_planes(ours):
             assert_array_equal(backend.numpy(planes), 1)
 
 
-def test_products_agree_and_add_up(ours):
-    a, b, total = (noise((9, 7), seed, planes=1)[0] / CODES for seed in (1, 2, 3))
-    theirs, mine = total.copy(), ours.planes(total)
-    for backend, sum_ in ((CV, theirs), (ours, mine)):
-        for _ in range(2):
-            backend.add_product(sum_, *on(backend, a, b))
-    assert_allclose(ours.numpy(mine), theirs, rtol=1e-6)
-    assert_allclose(theirs, total + 2 * a * b, rtol=1e-6)
-
-
 @pytest.mark.parametrize("count", [1, 3])
 def test_dots_sum_over_the_planes(ours, count):
-    a, b = noise((9, 7), 1, planes=count) - 100, noise((9, 7), 2, planes=count)
+    shape = (2, count, 9, 7)
+    a, b = (noise((9, 7), seed, planes=2 * count).reshape(shape) for seed in (1, 2))
+    a = a - 100
+    weights = noise((9, 7), 3, planes=2) / CODES
     for backend in (CV, ours):
         found = backend.dot(*on(backend, a, b))
-        assert_allclose(backend.numpy(found), (a * b).sum(0), rtol=1e-5, atol=ROUNDING * CODES)
+        assert_allclose(backend.numpy(found), (a * b).sum(1), rtol=1e-5, atol=ROUNDING * CODES)
+        found = backend.weighted_dot(*on(backend, weights, a, b))
+        expected = (weights[:, None] * a * b).sum((0, 1))
+        assert_allclose(backend.numpy(found), expected, rtol=1e-5, atol=2 * ROUNDING * CODES)
+
+
+def test_a_bank_is_its_filters_one_by_one(ours):
+    planes = noise((20, 30), 4)
+    kernels = [
+        (gaussian_derivative(i, 1.0), gaussian_derivative(j, 0.7)) for i, j in ((0, 0), (1, 0), (1, 2))
+    ]
+    for backend in (CV, ours):
+        (own,) = on(backend, planes)
+        found = backend.numpy(backend.bank(own, kernels))
+        assert found.shape == (3, *planes.shape)
+        for layer, (across, down) in zip(found, kernels, strict=True):
+            assert_array_equal(layer, backend.numpy(backend.filtered(own, across, down)))
 
 
 def test_planes_are_float32_and_the_backends_own(ours):

@@ -83,7 +83,7 @@ def test_the_flow_of_a_picture_with_itself_is_zero_and_trusted(picture, name):
 
 @pytest.mark.parametrize(
     ("name", "mean_px", "most_px"),
-    [("fast", 0.06, 0.5), ("balanced", 0.005, 0.05), ("accurate", 0.003, 0.03)],
+    [("fast", 0.045, 0.12), ("balanced", 0.003, 0.03), ("accurate", 0.001, 0.01)],
 )
 @pytest.mark.parametrize(("right", "down"), [(3, -2), (0, 5), (-1, 0)])
 def test_a_translation_is_found(picture, name, mean_px, most_px, right, down):
@@ -93,7 +93,7 @@ def test_a_translation_is_found(picture, name, mean_px, most_px, right, down):
     assert np.quantile(miss, 0.98) < most_px
 
 
-@pytest.mark.parametrize(("name", "mean_px"), [("fast", 0.13), ("balanced", 0.02), ("accurate", 0.018)])
+@pytest.mark.parametrize(("name", "mean_px"), [("fast", 0.065), ("balanced", 0.018), ("accurate", 0.012)])
 @pytest.mark.parametrize("matrix", [((0.04, -0.05), (0.05, 0.03)), ((-0.06, 0.0), (0.02, 0.06))])
 def test_an_affine_motion_is_found(picture, name, mean_px, matrix):
     y, x = np.mgrid[:96, :96] - 47.5
@@ -103,13 +103,13 @@ def test_an_affine_motion_is_found(picture, name, mean_px, matrix):
     assert miss.mean() < mean_px
 
 
-# means of three faces, px; seen: .103 .043 .039, .228 .111 .093, .168 .068 .057
+# means of three faces, px; seen: .095 .041 .039, .216 .116 .094, .151 .070 .057
 @pytest.mark.parametrize(
     ("kind", "peak_px", "most"),
     [
-        ("smooth", 7.0, {"fast": 0.14, "balanced": 0.06, "accurate": 0.055}),
-        ("lit", 7.0, {"fast": 0.28, "balanced": 0.15, "accurate": 0.12}),
-        ("mouth", 8.0, {"fast": 0.24, "balanced": 0.1, "accurate": 0.08}),
+        ("smooth", 7.0, {"fast": 0.12, "balanced": 0.05, "accurate": 0.048}),
+        ("lit", 7.0, {"fast": 0.26, "balanced": 0.14, "accurate": 0.12}),
+        ("mouth", 8.0, {"fast": 0.19, "balanced": 0.09, "accurate": 0.075}),
     ],
 )
 def test_expressions_are_found_and_the_slower_preset_finds_them_better(kind, peak_px, most):
@@ -146,17 +146,13 @@ def test_a_constant_added_to_the_frame_changes_nothing(name, constant):
     change = apart(
         field_of(name, pair.reference, pair.frame + np.float32(constant)), found(name).displacement
     )
-    assert np.median(change) < 1e-4  # px
-    most = (
-        0.02 if name == "fast" else 1e-3
-    )  # one round, no pooling: rounding is amplified where there is little to see
-    assert np.quantile(change, 0.95) < most
-    assert change.max() < (
-        0.2 if name == "fast" else 0.05
-    )  # motions that look alike to rounding are exchanged
+    amplified = 20 if name == "fast" else 1  # rounding, where there is little to see: no pooling
+    assert np.median(change) < 4e-5 * amplified  # px
+    assert np.quantile(change, 0.95) < 2e-4 * amplified
+    assert change.max() < 0.05  # motions that look alike to rounding are exchanged
 
 
-@pytest.mark.parametrize(("name", "px"), [("fast", 0.35), ("balanced", 0.17), ("accurate", 0.14)])
+@pytest.mark.parametrize(("name", "px"), [("fast", 0.31), ("balanced", 0.16), ("accurate", 0.12)])
 @pytest.mark.parametrize("gain", [0.8, 1.2])
 def test_a_gain_changes_little(name, px, gain):
     pair = face()
@@ -232,13 +228,13 @@ def test_a_right_start_is_taken_up_where_coarse_to_fine_is_lost(picture, wavy_fi
         miss = apart(flow.displacement, truth)[inside]
         assert np.median(miss) < 0.1
         assert np.quantile(miss, 0.6) < 0.5  # the rest lies beside what has left the frame
-        assert flow.confidence[inside].mean() > 0.6
+        assert flow.confidence[inside].mean() > 0.8
 
 
 def test_a_start_finds_skin_that_went_far(picture):
     """For the quickest preset; the others find most of it by themselves."""
     y, x = np.mgrid[:160, :160].astype(np.float32)
-    bump = 30 * np.exp(-((x - 70) ** 2 + (y - 80) ** 2) / (2 * 24.0**2))
+    bump = 36 * np.exp(-((x - 70) ** 2 + (y - 80) ** 2) / (2 * 24.0**2))
     truth = np.stack([bump, 0 * bump], axis=-1)
     reference = picture(160, 160, seed=5, sd_px=1.5)
     frame = warp.render(reference, truth)
@@ -246,7 +242,7 @@ def test_a_start_finds_skin_that_went_far(picture):
         apart(field_of("fast", reference, frame, start), truth).mean() for start in (None, truth)
     )
     assert alone > 1.0  # px
-    assert helped < 0.15 * alone
+    assert helped < 0.2 * alone
 
 
 @pytest.mark.parametrize("name", PRESETS)
@@ -265,7 +261,7 @@ def test_a_wrong_start_does_no_harm(wavy_field, name):
     for start in wrong.values():
         before = start.copy()
         flow = to_frame(pair.frame, start)
-        assert error(flow.displacement, pair) < 1.4 * alone
+        assert error(flow.displacement, pair) < 1.2 * alone
         assert_array_equal(start, before)
 
 

@@ -330,9 +330,7 @@ def test_torch_finds_the_same_flow_and_is_recorded(folder):
         fields.append(read_flow(folder / "o.flo").flow.displacement)
         assert json.loads((folder / "o.flo.record.json").read_text())["settings"]["backend"] == backend
     one, other = (field[8:-8, 8:-8] for field in fields)  # the rim leaves the picture: nothing holds it there
-    apart = np.abs(one - other)
-    assert np.quantile(apart, 0.99) < 0.01  # px
-    assert apart.max() < 0.05  # at the rim, where one pixel's choice reaches its neighbours
+    assert_allclose(one, other, atol=0.01)  # px
     assert (fields[0] != fields[1]).any()  # it was another machine
 
 

@@ -8,7 +8,8 @@ torch (`torch_backend`). Planes are (c, h, w) float32 throughout.
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from functools import cache
 from types import ModuleType
 from typing import Any, Protocol
 
@@ -18,12 +19,13 @@ import numpy as np
 from morphspace.arrays import AnyArray
 from morphspace.errors import BadInput
 from morphspace.flow.filters import BORDER
-from morphspace.warp import sample_splines, spline_coefficients
+from morphspace.warp import spline_reader
 
 Planes = Any
 """(c, h, w) float32, a numpy array or a torch tensor, as the backend has it."""
 
 MEDIAN_PX = 5  # a side; OpenCV's largest for float32
+LARGEST_KEPT_BYTES = 2**25 - 2**13  # just under that limit, its header and rounding to pages included
 _CREATING = threading.Lock()
 
 
@@ -44,6 +46,10 @@ class Backend(Protocol):
 
     def filtered(self, planes: Planes, across: AnyArray, down: AnyArray) -> Planes:
         """Correlate each plane with a separable kernel, mirrored about the outermost pixels at the edge."""
+        ...
+
+    def bank(self, planes: Planes, kernels: Sequence[tuple[AnyArray, AnyArray]]) -> Planes:
+        """Filter the planes by each pair of kernels, across and down: (n, c, h, w); see `filtered`."""
         ...
 
     def sampler(self, planes: Planes) -> Callable[[Planes, Planes], Planes]:
@@ -74,16 +80,16 @@ class Backend(Protocol):
         """
         ...
 
-    def add_product(self, total: Planes, a: Planes, b: Planes) -> None:
-        """Add a * b to `total` in place, all (h, w)."""
-        ...
-
     def middle(self, plane: Planes) -> Planes:
         """Give the median of a plane (h, w); of an even count the last is left out, so that there is a middle one."""
         ...
 
     def dot(self, a: Planes, b: Planes) -> Planes:
-        """Sum a * b over the planes, (c, h, w) each, to (h, w)."""
+        """Sum a * b over the planes, (n, c, h, w) each, to (n, h, w)."""
+        ...
+
+    def weighted_dot(self, weights: Planes, a: Planes, b: Planes) -> Planes:
+        """Sum weights (n, h, w) times a times b over all planes, (n, c, h, w) each, to (h, w)."""
         ...
 
 
@@ -93,6 +99,10 @@ class OpenCVBackend:
     xp: ModuleType = np
     strip_px = 2**14  # nine derivatives of three colours are 1.8 MB
 
+    def __init__(self) -> None:
+        """Take no options: one is as good as another."""
+        _keep_freed_memory()
+
     def planes(self, array: AnyArray) -> AnyArray:
         return np.ascontiguousarray(array, np.float32)
 
@@ -100,18 +110,18 @@ class OpenCVBackend:
         return planes
 
     def filtered(self, planes: AnyArray, across: AnyArray, down: AnyArray) -> AnyArray:
-        out = np.empty_like(planes)
-        for plane, target in zip(planes, out, strict=True):
-            cv2.sepFilter2D(plane, cv2.CV_32F, across, down, dst=target, borderType=BORDER)
+        return self.bank(planes, [(across, down)])[0]
+
+    def bank(self, planes: AnyArray, kernels: Sequence[tuple[AnyArray, AnyArray]]) -> AnyArray:
+        out = np.empty((len(kernels), *planes.shape), np.float32)
+        for (across, down), targets in zip(kernels, out, strict=True):
+            for plane, target in zip(planes, targets, strict=True):
+                cv2.sepFilter2D(plane, cv2.CV_32F, across, down, dst=target, borderType=BORDER)
         return out
 
     def sampler(self, planes: AnyArray) -> Callable[[AnyArray, AnyArray], AnyArray]:
-        coefficients = [spline_coefficients(plane) for plane in planes]
-
-        def read(x: AnyArray, y: AnyArray) -> AnyArray:
-            return np.stack(sample_splines(coefficients, x, y))
-
-        return read
+        read = spline_reader(planes)
+        return lambda x, y: np.stack(read(x, y))
 
     def looked_up(self, planes: AnyArray, x: AnyArray, y: AnyArray) -> AnyArray:
         out = np.empty((len(planes), *x.shape), np.float32)
@@ -152,19 +162,29 @@ class OpenCVBackend:
 
         return smooth
 
-    def add_product(self, total: AnyArray, a: AnyArray, b: AnyArray) -> None:
-        cv2.accumulateProduct(a, b, total)
-
     def middle(self, plane: AnyArray) -> AnyArray:
         values = plane.ravel()
         half = (len(values) - 1) // 2
         return np.partition(values[: 2 * half + 1], half)[half]
 
     def dot(self, a: AnyArray, b: AnyArray) -> AnyArray:
-        total = a[0] * b[0]
-        for one, other in zip(a[1:], b[1:], strict=True):
-            cv2.accumulateProduct(one, other, total)
-        return total
+        out: AnyArray = np.einsum("ncij,ncij->nij", a, b)
+        return out
+
+    def weighted_dot(self, weights: AnyArray, a: AnyArray, b: AnyArray) -> AnyArray:
+        out: AnyArray = np.einsum("nij,ncij,ncij->ij", weights, a, b)  # one pass, no products in between
+        return out
+
+
+@cache
+def _keep_freed_memory() -> None:
+    """Let the process keep the memory of planes it frees, up to 64 MB, for the next ones.
+
+    The C library of Linux asks the system anew for each block above a threshold, and every page of it is cleared. The
+    threshold follows the largest block freed so far, up to 32 MB (mallopt(3), M_MMAP_THRESHOLD): one such block is
+    reserved here, never touched, and freed. Elsewhere this does nothing.
+    """
+    np.empty(LARGEST_KEPT_BYTES, np.uint8)
 
 
 def _single_striped_smoother(picture: AnyArray, strength: float, edge_codes: float) -> Any:

@@ -9,7 +9,6 @@ needs to know of the pictures.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from math import ceil
@@ -43,43 +42,60 @@ class Channels:
         return tuple(gaussian_derivative(n, self.sd_px, radius=radius) for n in range(len(self.weights) + 1))
 
     @cached_property
-    def noise_floors(self) -> Mapping[tuple[int, int], float]:
-        """For each channel the squared slope that noise of `noise_codes` alone would have, in one colour."""
+    def half_kernels(self) -> tuple[tuple[AnyArray, AnyArray], ...]:
+        """For each derivative the kernels (n,) across and down that give half of it, in the order of `up_to`."""
+        return tuple((self.kernels[i] / 2, self.kernels[j]) for i, j in up_to(len(self.weights)))
+
+    @cached_property
+    def noise_floors(self) -> tuple[tuple[float, ...], ...]:
+        """For each channel the squared slope that noise of `noise_codes` alone would have in one colour, by order."""
         energy = [float((kernel**2).sum()) for kernel in self.kernels]
-        return {
-            (i, j): self.noise_codes**2 * (energy[i + 1] * energy[j] + energy[i] * energy[j + 1])
-            for i, j in up_to(len(self.weights) - 1)
-        }
+        return tuple(
+            tuple(
+                self.noise_codes**2 * (energy[n - j + 1] * energy[j] + energy[n - j] * energy[j + 1])
+                for j in range(n + 1)
+            )
+            for n in range(len(self.weights))
+        )
 
 
-Derivatives = Mapping[tuple[int, int], Planes]
-"""(i, j) -> half the derivative of each colour, i times right and j times down."""
+Derivatives = Planes
+"""(n, c, h, w): half of every derivative of each colour, in the order of `up_to`."""
+
+
+def of_order(order: int) -> slice:
+    """Say where the derivatives of a total order are among all."""
+    first = order * (order + 1) // 2
+    return slice(first, first + order + 1)
 
 
 def half_derivatives(backend: Backend, planes: Planes, channels: Channels) -> Derivatives:
     """Give half of every derivative the channels need of planes (c, h, w): halves add up to means over two pictures."""
-    kernels = channels.kernels
-    return {
-        (i, j): backend.filtered(planes, kernels[i] / 2, kernels[j]) for i, j in up_to(len(channels.weights))
-    }
+    return backend.bank(planes, channels.half_kernels)
 
 
 @dataclass(frozen=True, eq=False)
 class Tensor:
-    """The quadratic xx du^2 + yy dv^2 + 2 xy du dv + 2 xt du + 2 yt dv + tt, each (h, w), in px^2."""
+    """The quadratic xx du^2 + yy dv^2 + 2 xy du dv + 2 xt du + 2 yt dv + tt, in px^2.
 
-    xx: Planes
-    yy: Planes
-    xy: Planes
-    xt: Planes
-    yt: Planes
-    tt: Planes
+    `sums` (6, h, w): xx, yy, xy, xt, yt, tt.
+    """
+
+    sums: Planes
 
     def residual(self, du: Planes, dv: Planes) -> Planes:
         """Give the quadratic at (du, dv), each (h, w): how far all channels together miss, in px^2."""
-        out = (self.xx * du + 2 * self.xt) * du
-        out += (self.yy * dv + 2 * (self.yt + self.xy * du)) * dv
-        out += self.tt
+        xx, yy, xy, xt, yt, tt = self.sums
+        out = xx * du
+        out += 2 * xt
+        out *= du
+        down = xy * du
+        down += yt
+        down *= 2
+        down += yy * dv
+        down *= dv
+        out += down
+        out += tt
         return out
 
 
@@ -96,66 +112,63 @@ def tensor(
     """
     xp = backend.xp
     _, height, width = shape
-    total = [xp.zeros_like(frame[0, 0][0]) for _ in range(6)]
-    change, agreement = None, None
+    total = xp.stack([xp.zeros_like(frame[0, 0])] * 6)
+    change, agreement = None, 0.0
     if channels.weights[0] > 0:
-        change, agreement = _light_apart(backend, frame[0, 0] - reference[0, 0], channels.light_codes / 2)
+        change, agreement = _light_apart(backend, frame[0] - reference[0], channels.light_codes / 2)
     step = max(1, backend.strip_px // width)
     for top in range(0, height, step):
         rows = slice(top, top + step)
         _add_constraints(
             backend,
-            [plane[rows] for plane in total],
-            {key: planes[:, rows] for key, planes in reference.items()},
-            {key: planes[:, rows] for key, planes in frame.items()},
+            total[:, rows],
+            reference[:, :, rows],
+            frame[:, :, rows],
             None if change is None else change[:, rows],
-            None if agreement is None else agreement[rows],
+            agreement,
             channels,
         )
-    total[3] *= 2
-    total[4] *= 2
+    total[3:5] *= 2
     total[5] *= 4
-    return Tensor(*total)
+    return Tensor(total)
 
 
 def _add_constraints(
     backend: Backend,
-    total: Sequence[Planes],
+    total: Planes,
     reference: Derivatives,
     frame: Derivatives,
     raw_change: Planes | None,
-    agreement: Planes | None,
+    agreement: Planes | float,
     channels: Channels,
 ) -> None:
-    """Add the constraints of some rows to the six sums `total`, those of T still for half the change."""
-    mean = {key: reference[key] + frame[key] for key in reference if key != (0, 0)}
-    square = {key: backend.dot(planes, planes) for key, planes in mean.items()}
-    colours = len(mean[1, 0])
-    for i, j in up_to(len(channels.weights) - 1):
-        weight = channels.weights[i + j]
+    """Add the constraints of some rows to the six sums `total` (6, h, w), those of T still for half the change."""
+    mean = reference[1:] + frame[1:]
+    square = backend.dot(mean, mean)
+    colours = mean.shape[1]
+    for order, weight in enumerate(channels.weights):
         if weight == 0:
             continue
-        x, y = mean[i + 1, j], mean[i, j + 1]
-        half_change = frame[i, j] - reference[i, j] if i + j > 0 else raw_change
-        per_px = square[i + 1, j] + square[i, j + 1]
-        per_px += colours * channels.noise_floors[i, j]
+        own, first = of_order(order), of_order(order + 1).start - 1
+        right, down = slice(first, first + order + 1), slice(first + 1, first + order + 2)
+        x, y = mean[right], mean[down]
+        half_change = frame[own] - reference[own] if order > 0 else raw_change[None]
+        per_px = square[right] + square[down]
+        for plane, floor in zip(per_px, channels.noise_floors[order], strict=True):
+            plane += colours * floor
         per_px = weight / per_px
-        if i + j == 0:
+        if order == 0:
             per_px *= agreement
-        products = (
-            square[i + 1, j],
-            square[i, j + 1],
-            backend.dot(x, y),
-            backend.dot(x, half_change),
-            backend.dot(y, half_change),
-            backend.dot(half_change, half_change),
-        )
-        for sum_, product in zip(total, products, strict=True):
-            backend.add_product(sum_, per_px, product)
+        total[0] += backend.dot(per_px[None], square[None, right])[0]
+        total[1] += backend.dot(per_px[None], square[None, down])[0]
+        total[2] += backend.weighted_dot(per_px, x, y)
+        total[3] += backend.weighted_dot(per_px, x, half_change)
+        total[4] += backend.weighted_dot(per_px, y, half_change)
+        total[5] += backend.weighted_dot(per_px, half_change, half_change)
 
 
 def _light_apart(backend: Backend, change: Planes, light_codes: float) -> tuple[Planes, Planes]:
-    """Take the change of light common to the picture out of a change (c, h, w), and say if the rest is no light.
+    """Take the change of light common to the picture out of a change (c, h, w), and say if the rest is no light (0-d).
 
     The common part is the median, so that adding a constant to a picture alters nothing. What is left is averaged
     over cells of `LIGHT_CELL_PX`. Under one light most cells keep their colour, even while a mouth opens in some; where
@@ -167,14 +180,14 @@ def _light_apart(backend: Backend, change: Planes, light_codes: float) -> tuple[
     cells = max(1, round(height / LIGHT_CELL_PX)), max(1, round(width / LIGHT_CELL_PX))
     light = backend.averaged(change, *cells)
     off = backend.middle(xp.sqrt((light * light).sum(0) / len(change))) / light_codes
-    return change, xp.exp(-(off**4)) * xp.ones_like(change[0])
+    return change, xp.exp(-(off**4))
 
 
 @dataclass(frozen=True, eq=False)
 class Appearance:
     """The first derivatives of a picture and what one px of error changes in them: to compare whole fields by.
 
-    `slopes` (2 c, h, w); `per_px` (2, h, w), one over the square of the second derivatives.
+    `slopes` (2, c, h, w); `per_px` (2, h, w), one over the square of the second derivatives.
     """
 
     slopes: Planes
@@ -184,13 +197,11 @@ class Appearance:
 def appearance(backend: Backend, derivatives: Derivatives, channels: Channels) -> Appearance:
     """Give the appearance of a picture from its half derivatives."""
     xp = backend.xp
-    colours = len(derivatives[1, 0])
-    floors = channels.noise_floors
-    xx, xy, yy = (backend.dot(derivatives[key], derivatives[key]) for key in ((2, 0), (1, 1), (0, 2)))
-    per_px = xp.stack(
-        [1 / (xx + xy + colours * floors[1, 0] / 4), 1 / (xy + yy + colours * floors[0, 1] / 4)]
-    )
-    return Appearance(xp.concatenate([derivatives[1, 0], derivatives[0, 1]]), per_px)
+    colours = derivatives.shape[1]
+    right, down = (colours * floor / 4 for floor in channels.noise_floors[1])
+    xx, xy, yy = backend.dot(derivatives[of_order(2)], derivatives[of_order(2)])
+    per_px = xp.stack([1 / (xx + xy + right), 1 / (xy + yy + down)])
+    return Appearance(derivatives[of_order(1)], per_px)
 
 
 def mismatch(
@@ -198,15 +209,14 @@ def mismatch(
 ) -> Planes:
     """Say how badly the point of a frame at (x, y) px looks like each pixel of the reference: (h, w) px.
 
-    `slopes` (2 c, h, w) of the frame; `blur`, the kernel (n,) of the neighbourhood that is compared. Beyond the frame
+    `slopes` (2, c, h, w) of the frame; `blur`, the kernel (n,) of the neighbourhood that is compared. Beyond the frame
     nothing looks alike.
     """
     xp = backend.xp
-    difference = backend.looked_up(slopes, x, y) - reference.slopes
-    colours = len(difference) // 2
-    square = backend.dot(difference[:colours], difference[:colours]) * reference.per_px[0]
-    square += backend.dot(difference[colours:], difference[colours:]) * reference.per_px[1]
-    height, width = square.shape
+    _, colours, height, width = slopes.shape
+    found = backend.looked_up(slopes.reshape(2 * colours, height, width), x, y)
+    difference = found.reshape(2, colours, *x.shape) - reference.slopes
+    square = backend.weighted_dot(reference.per_px, difference, difference)
     off = xp.clip(xp.sqrt(square), 0, MOST_MISMATCH_PX)
     off = xp.where(outside(x, y, height, width), MOST_MISMATCH_PX, off)
     return backend.filtered(off[None], blur, blur)[0]

@@ -30,6 +30,7 @@ from morphspace.flow.constraints import (
     appearance,
     half_derivatives,
     mismatch,
+    of_order,
     outside,
     tensor,
 )
@@ -41,6 +42,7 @@ CODES = 255.0  # the estimator thinks in 8-bit codes
 LEAST_CONTRAST_CODES = (
     0.5  # between the darkest and the brightest value of a plane; below it there is nothing to find
 )
+FINEST_PX = 72  # the shorter side below which the last scale is not scaled down
 LEAST_SIDE_PX = 16  # of the coarsest scale
 LEAST_BLUR_PX = 0.3  # before scaling down
 COARSE_PX = (
@@ -125,7 +127,7 @@ def _is_flat(planes: Planes) -> bool:
 def _pyramid(planes: Planes, preset: Preset, backend: Backend) -> list[Planes]:
     """Give the picture at every scale, finest first."""
     height, width = planes.shape[1:]
-    share = preset.finest
+    share = min(1.0, max(preset.finest, FINEST_PX / min(height, width)))
     if share < 1:
         planes = _shrunk(planes, share, round(height * share), round(width * share), backend)
     scales = [planes]
@@ -261,13 +263,12 @@ def _refined(
     dual = xp.zeros_like(field)
     height, width = target.shape[1:]
     channels = preset.coarse_channels if max(height, width) <= COARSE_PX else preset.channels
+    started = start is not None and max(height, width) <= START_PX
+    rivalled = started or max(height, width) <= preset.rivals_px
+    warps = max(warps, 2) if started else warps  # a rival meets a field that was refined here
     for number in range(warps):
-        rivalled = max(height, width) <= preset.rivals_px or (
-            start is not None and max(height, width) <= START_PX
-        )
         if number == min(1, warps - 1) and rivalled:
-            derivatives = half_derivatives(backend, target, preset.slope_channels)
-            slopes = xp.concatenate([derivatives[1, 0], derivatives[0, 1]])
+            slopes = half_derivatives(backend, target, preset.slope_channels)[of_order(1)]
             field = _with_rivals(level, slopes, field, start, preset, backend)
         x, y = level.x + field[0], level.y + field[1]
         warped = half_derivatives(backend, read(x, y), preset.channels)
@@ -290,33 +291,40 @@ def _step(
     """Move the field to where the robust constraints and the smoothness agree."""
     xp = backend.xp
     moved = field
-    off = constraint.tt
+    off = constraint.sums[5]
     blur = _bell(preset.integration_px) if preset.integration_px else None
-    parts = (constraint.xx, constraint.yy, constraint.xy, constraint.xt, constraint.yt)
     for number in range(preset.rounds):
         if number > 0:
             change = moved - field
             off = constraint.residual(change[0], change[1])
-        trust = seen / xp.sqrt(xp.clip(off, 0, None) + preset.robust_px**2)
-        weighted: Any = [trust * part for part in parts]
+        trust = abs(off)  # rounding can bring it just below 0
+        trust += preset.robust_px**2
+        trust = seen / xp.sqrt(trust)
+        weighted = trust * constraint.sums[:5]
         if blur is not None:
-            weighted = backend.filtered(xp.stack(weighted), blur, blur)
-        a, b, c, d, e = weighted
-        a += preset.coupling
-        b += preset.coupling
-        scale = 1 / (a * b - c * c)
-        smooth = _smoothed(level, moved + dual, preset)
-        dual = dual + moved - smooth
-        wanted = preset.coupling * (smooth - dual - field)
-        right, down = wanted[0] - d, wanted[1] - e
-        moved = field + xp.stack([(b * right - c * down) * scale, (a * down - c * right) * scale])
+            weighted = backend.filtered(weighted, blur, blur)
+        weighted[:2] += preset.coupling
+        a, b, c = weighted[:3]
+        leant = moved + dual
+        smooth = _smoothed(level, leant, preset)
+        dual = leant - smooth
+        smooth -= dual
+        smooth -= field
+        smooth *= preset.coupling
+        smooth -= weighted[3:]
+        right, down = smooth
+        moved = xp.stack([b * right, a * down])
+        moved[0] -= c * down
+        moved[1] -= c * right
+        moved /= a * b - c * c
+        moved += field
     return moved, dual
 
 
 def _likeness(constraint: Tensor, change: Planes, backend: Backend) -> Planes:
     """Say how well the channels are met, (h, w), from 0 to 1: 0 where they miss by far or have nothing to meet."""
     blur = _bell(SURROUNDINGS_PX)
-    contrast = backend.filtered((constraint.xx + constraint.yy)[None], blur, blur)[0]
+    contrast = backend.filtered((constraint.sums[0] + constraint.sums[1])[None], blur, blur)[0]
     off = constraint.residual(change[0], change[1])
     return contrast / (contrast + LEAST_CONTRAST) / (1 + off / MISSED_PX**2)
 

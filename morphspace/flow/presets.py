@@ -18,8 +18,8 @@ from morphspace.flow.constraints import Channels
 class Preset:
     """Everything that can be chosen about the estimator.
 
-    `colours`: the planes that are compared. `finest`: the last scale, as a share of the full size, and `factor` between
-    scales. `warps` a scale, finest first, the last number for all coarser ones. `channels`: the derivatives, and
+    `colours`: the planes that are compared. `finest`: the last scale, as a share of the full size (of a small picture
+    more: `multiscale.FINEST_PX`), and `factor` between scales. `warps` a scale, finest first, the last number for all coarser ones. `channels`: the derivatives, and
     `coarse_light`, the weight of order 0 at coarse scales. `robust_px`: residuals above it count less and less.
     `integration_px`: sd over which constraints are pooled. `coupling` of the pixelwise solution to the smooth field,
     `strength` and `edge_codes` of the smoother (`Backend.smoother`), `smoothings` 1 (slope costs) or 2 (bending costs).
@@ -67,8 +67,9 @@ ACCURATE = Preset(
 BALANCED = replace(
     ACCURATE,
     factor=0.5,
-    warps=(1, 2, 4),
+    warps=(1, 2, 2),
     channels=replace(ACCURATE.channels, weights=(1.0, 1.0, 1.0)),
+    coupling=0.2,
     smoothings=1,
     strength=10.0,
     rounds=2,
@@ -78,15 +79,15 @@ BALANCED = replace(
 FAST = replace(
     ACCURATE,
     colours="grey",
-    finest=0.45,
+    finest=0.375,
     factor=0.5,
-    warps=(2, 2, 1),
+    warps=(1, 1, 2),
     channels=replace(ACCURATE.channels, weights=(0.0, 1.0, 1.0)),
+    coarse_light=10.0,
     integration_px=0.0,
-    coarse_light=2.0,
+    coupling=0.2,
     smoothings=1,
     strength=10.0,
-    rounds=1,
     rivals_px=0,
     checked_px=0,
 )

@@ -57,6 +57,9 @@ class TorchBackend:
     def filtered(self, planes: Planes, across: AnyArray, down: AnyArray) -> Planes:
         return self._correlated(self._correlated(planes, across, ACROSS), down, DOWN)
 
+    def bank(self, planes: Planes, kernels: Sequence[tuple[AnyArray, AnyArray]]) -> Planes:
+        return torch.stack([self.filtered(planes, across, down) for across, down in kernels])
+
     def sampler(self, planes: Planes) -> Callable[[Planes, Planes], Planes]:
         taps = np.arange(-SPLINE_TAPS, SPLINE_TAPS + 1)
         inverse = SPLINE_POLE ** np.abs(taps)
@@ -121,14 +124,11 @@ class TorchBackend:
         values = plane.reshape(-1)
         return torch.median(values[: 2 * ((len(values) - 1) // 2) + 1])
 
-    def add_product(self, total: Planes, a: Planes, b: Planes) -> None:
-        total.addcmul_(a, b)
-
     def dot(self, a: Planes, b: Planes) -> Planes:
-        total = a[0] * b[0]
-        for one, other in zip(a[1:], b[1:], strict=True):
-            total.addcmul_(one, other)
-        return total
+        return (a * b).sum(1)
+
+    def weighted_dot(self, weights: Planes, a: Planes, b: Planes) -> Planes:
+        return (weights[:, None] * a * b).sum((0, 1))
 
     def _correlated(self, planes: Planes, kernel: AnyArray, axis: int) -> Planes:
         size = planes.shape[axis]
