@@ -48,7 +48,7 @@ def sample_at(image: Image, x: AnyArray, y: AnyArray) -> Image:
     return np.stack(spline_reader([image[..., c] for c in range(image.shape[2])])(x, y), axis=-1)
 
 
-def spline_reader(planes: Sequence[AnyArray]) -> Callable[[AnyArray, AnyArray], list[AnyArray]]:
+def spline_reader(planes: Sequence[AnyArray] | AnyArray) -> Callable[[AnyArray, AnyArray], list[AnyArray]]:
     """Give the function that reads planes (H, W) by cubic B-spline at finite points (x, y) px: one (h, w) for each.
 
     Three or four planes are looked up together, as four channels, which OpenCV does in little more than the time of

@@ -152,7 +152,7 @@ def _add_constraints(
         own, first = of_order(order), of_order(order + 1).start - 1
         right, down = slice(first, first + order + 1), slice(first + 1, first + order + 2)
         x, y = mean[right], mean[down]
-        half_change = frame[own] - reference[own] if order > 0 else raw_change[None]
+        half_change = frame[own] - reference[own] if order > 0 or raw_change is None else raw_change[None]
         per_px = square[right] + square[down]
         for plane, floor in zip(per_px, channels.noise_floors[order], strict=True):
             plane += colours * floor

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import lru_cache, partial
+from functools import cache, lru_cache, partial
 from math import ceil, sqrt
 from typing import Any
 
@@ -70,7 +70,7 @@ class ReferenceLevel:
 
     planes: Planes
     derivatives: Derivatives
-    appearance: Appearance
+    appearance: Callable[[], Appearance]
     smooth: Callable[[Planes], Planes]
     x: Planes
     y: Planes
@@ -162,7 +162,7 @@ def _reference_level(
     return ReferenceLevel(
         planes=planes,
         derivatives=derivatives,
-        appearance=appearance(backend, derivatives, preset.channels),
+        appearance=cache(partial(appearance, backend, derivatives, preset.channels)),  # few ask for it
         smooth=smooth,
         x=backend.planes(x),
         y=backend.planes(y),
@@ -352,11 +352,10 @@ def _with_rivals(
     """Let each pixel take over the start, or the motion of a pixel near by, where that looks clearly more alike."""
     blur = _bell(SURROUNDINGS_PX)
     xp = backend.xp
+    looks = level.appearance()
 
     def judged(candidate: Planes) -> Planes:
-        return mismatch(
-            backend, level.appearance, slopes, level.x + candidate[0], level.y + candidate[1], blur
-        )
+        return mismatch(backend, looks, slopes, level.x + candidate[0], level.y + candidate[1], blur)
 
     least = judged(field)
 
