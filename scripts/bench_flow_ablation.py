@@ -18,15 +18,18 @@ from morphspace.flow.presets import Preset
 from morphspace.measure import flow_errors
 from morphspace.synthetic.warped import FlowPair
 
-BASES = ("balanced", "accurate")
+BASES = ("fast", "balanced", "accurate")
 WITH_REAL = ("balanced",)  # the real pairs cost as much again
 HIGHEST_ORDERS = (0, 1, 2, 3)
 LEAST_ORDERS = 2  # rivals are judged by second derivatives, which orders 0 and 1 need
 COARSE_LIGHTS = (0.0, 2.0, 6.0)
 SDS_PX = (0.5, 0.7, 0.85, 1.0)
 FACTORS = (0.5, 0.7, 0.8)
-WARPS = ((1, 2), (1, 3), (2, 3), (2, 3, 4), (3, 4, 5))
-ROUNDS = (1, 2, 3)
+WARPS = ((1, 1, 1), (1, 1, 2), (1, 2, 2), (1, 2, 4), (2, 3, 4), (3, 4, 5))
+ROUNDS = (1, 2, 3, 4)
+COUPLINGS = (0.1, 0.2, 0.4, 0.8)
+POOLINGS_PX = (0.0, 0.6, 1.0)
+FINESTS = (0.375, 0.5, 0.7, 1.0)
 CHECKED_PX = (0, 70, 140)
 SINGLE_STRENGTH = 10.0  # of a single smoothing that smooths about as far
 NEVER_LIGHT, NEVER_FAR = 1e6, 30.0  # codes; px
@@ -109,6 +112,12 @@ def _all_variants(base: Preset) -> Iterator[tuple[str, Preset]]:
         yield f"warps {', '.join(map(str, warps))}", replace(base, warps=warps)
     for rounds in ROUNDS:
         yield f"rounds of robust weights {rounds}", replace(base, rounds=rounds)
+    for coupling in COUPLINGS:
+        yield f"coupling {coupling:g}", replace(base, coupling=coupling)
+    for sd_px in POOLINGS_PX:
+        yield f"pooling over {sd_px:g} px", replace(base, integration_px=sd_px)
+    for finest in FINESTS:
+        yield f"finest {finest:g}", replace(base, finest=finest)
     for miss_px in TYPICAL_MISS_PX:
         # all weights become 1 / NEVER_FAR where they were about 1 / miss_px: the coupling goes down with them
         coupling = base.coupling * float(np.hypot(miss_px, base.robust_px)) / NEVER_FAR
