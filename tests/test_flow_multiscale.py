@@ -234,7 +234,7 @@ def test_a_right_start_is_taken_up_where_coarse_to_fine_is_lost(picture, wavy_fi
 def test_a_start_finds_skin_that_went_far(picture):
     """For the quickest preset; the others find most of it by themselves."""
     y, x = np.mgrid[:160, :160].astype(np.float32)
-    bump = 36 * np.exp(-((x - 70) ** 2 + (y - 80) ** 2) / (2 * 24.0**2))
+    bump = 42 * np.exp(-((x - 70) ** 2 + (y - 80) ** 2) / (2 * 24.0**2))
     truth = np.stack([bump, 0 * bump], axis=-1)
     reference = picture(160, 160, seed=5, sd_px=1.5)
     frame = warp.render(reference, truth)

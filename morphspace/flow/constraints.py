@@ -41,6 +41,11 @@ class Channels:
         radius = max(3, ceil(4 * self.sd_px))
         return tuple(gaussian_derivative(n, self.sd_px, radius=radius) for n in range(len(self.weights) + 1))
 
+    @property
+    def together(self) -> float:
+        """The weight of all channels; there are n + 1 of total order n."""
+        return sum((order + 1) * weight for order, weight in enumerate(self.weights))
+
     @cached_property
     def half_kernels(self) -> tuple[tuple[AnyArray, AnyArray], ...]:
         """For each derivative the kernels (n,) across and down that give half of it, in the order of `up_to`."""

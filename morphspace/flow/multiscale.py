@@ -25,6 +25,7 @@ from morphspace.flow.backends import Backend, OpenCVBackend, Planes
 from morphspace.flow.baselines import LUMA
 from morphspace.flow.constraints import (
     Appearance,
+    Channels,
     Derivatives,
     Tensor,
     appearance,
@@ -48,7 +49,8 @@ LEAST_BLUR_PX = 0.3  # before scaling down
 COARSE_PX = (
     160  # the longer side of scales at which raw values lead: lips are a few px there, their colour is seen
 )
-START_PX = 140  # the longer side up to which a start is tried
+START_PX = 140  # the longer side up to which a start is tried; at the coarsest scale it always is
+COARSEST_WARPS = 3  # at least: nothing else comes before
 SURROUNDINGS_PX = 1.5  # sd of the neighbourhood by which a rival is judged
 CLEARLY, CLEARLY_PX = (
     0.9,
@@ -59,9 +61,8 @@ WARPS_BACK = 1
 LEAST_CONTRAST = (
     0.02  # of a pixel's channels, which sum to the weights where there is texture; a half at this
 )
-MISSED_PX = (
-    4.0  # of the way there and back, or of the channels, at which confidence is a half and falls off fast
-)
+MISSED_PX = 4.0  # of the way there and back at which confidence is a half and falls off fast
+UNLIKE_PX = 0.7  # the same for the channels, rms; those of two unrelated textures miss by a pixel and more
 
 
 @dataclass(frozen=True, eq=False)
@@ -178,7 +179,8 @@ def _matched(
 ) -> tuple[Planes, Planes]:
     """Find the field at the finest level, and its confidence (h, w): likeness, times agreement with the way back."""
     sizes = [max(level.planes.shape[1:]) for level in levels]
-    checked = next((n for n, size in enumerate(sizes) if size <= preset.checked_px), len(levels))
+    coarsest = len(levels) - (1 if preset.checked_px else 0)  # of a long strip, none may be small enough
+    checked = next((n for n, size in enumerate(sizes) if size <= preset.checked_px), coarsest)
     field: Any = None
     trust: Any = None
     alike: Any = None
@@ -235,6 +237,10 @@ def _descend(
             field = _resized_field(field, height, width, backend)
         rival = None if start is None else _resized_field(start, height, width, backend)
         warps = preset.warps[min(number, len(preset.warps) - 1)]
+        if number == len(levels) - 1:
+            warps = max(warps, COARSEST_WARPS)
+        elif max(height, width) > START_PX:
+            rival = None
         field, alike = _refined(level, target[number], field, rival, warps, preset, backend)
     return field, alike
 
@@ -263,9 +269,9 @@ def _refined(
     dual = xp.zeros_like(field)
     height, width = target.shape[1:]
     channels = preset.coarse_channels if max(height, width) <= COARSE_PX else preset.channels
-    started = start is not None and max(height, width) <= START_PX
-    rivalled = started or max(height, width) <= preset.rivals_px
-    warps = max(warps, 2) if started else warps  # a rival meets a field that was refined here
+    rivalled = start is not None or max(height, width) <= preset.rivals_px
+    if start is not None:
+        warps = max(warps, 2)  # a rival meets a field that was refined here
     for number in range(warps):
         if number == min(1, warps - 1) and rivalled:
             slopes = half_derivatives(backend, target, preset.slope_channels)[of_order(1)]
@@ -276,7 +282,7 @@ def _refined(
         seen = xp.where(outside(x, y, height, width), 0.0, xp.ones_like(x))
         moved, dual = _step(level, constraint, seen, field, dual, preset, backend)
         change, field = moved - field, backend.median(moved)
-    return field, partial(_likeness, constraint, change, backend)
+    return field, partial(_likeness, constraint, change, seen, channels, backend)
 
 
 def _step(
@@ -321,12 +327,19 @@ def _step(
     return moved, dual
 
 
-def _likeness(constraint: Tensor, change: Planes, backend: Backend) -> Planes:
-    """Say how well the channels are met, (h, w), from 0 to 1: 0 where they miss by far or have nothing to meet."""
+def _likeness(
+    constraint: Tensor, change: Planes, seen: Planes, channels: Channels, backend: Backend
+) -> Planes:
+    """Say how well the channels are met, (h, w), from 0 to 1.
+
+    It is 0 where they miss by far, have nothing to meet, or the point lies outside the frame.
+    """
     blur = _bell(SURROUNDINGS_PX)
-    contrast = backend.filtered((constraint.sums[0] + constraint.sums[1])[None], blur, blur)[0]
-    off = constraint.residual(change[0], change[1])
-    return contrast / (contrast + LEAST_CONTRAST) / (1 + off / MISSED_PX**2)
+    xp = backend.xp
+    strength = constraint.sums[0] + constraint.sums[1]
+    off = constraint.residual(change[0], change[1]) / channels.together
+    contrast, off = backend.filtered(xp.stack([strength, off]), blur, blur)
+    return seen * contrast / (contrast + LEAST_CONTRAST) / (1 + (off / UNLIKE_PX**2) ** 2)
 
 
 def _smoothed(level: ReferenceLevel, field: Planes, preset: Preset) -> Planes:

@@ -67,11 +67,11 @@ ACCURATE = Preset(
 BALANCED = replace(
     ACCURATE,
     factor=0.5,
-    warps=(1, 2, 2),
+    warps=(1, 1, 2, 6),
     channels=replace(ACCURATE.channels, weights=(1.0, 1.0, 1.0)),
     coupling=0.2,
     smoothings=1,
-    strength=10.0,
+    strength=20.0,
     rounds=2,
     rivals_px=0,
     checked_px=0,
