@@ -8,7 +8,9 @@ from __future__ import annotations
 
 import json
 import re
+import signal
 import sys
+import threading
 from collections.abc import Callable
 from functools import wraps
 from pathlib import Path
@@ -103,6 +105,13 @@ def main() -> None:
     """
 
 
+def _tidy_up_when_asked_to_stop() -> None:
+    """Let SIGTERM and SIGHUP end a verb as Ctrl-C does, so that no unfinished file is left."""
+    if threading.current_thread() is threading.main_thread():
+        for number in (signal.SIGTERM, getattr(signal, "SIGHUP", signal.SIGTERM)):
+            signal.signal(number, signal.default_int_handler)
+
+
 def verb(command: Callable[..., Steps[Outcome]]) -> Callable[..., None]:
     """Give a command the options all verbs share, and run the steps it returns."""
 
@@ -111,12 +120,13 @@ def verb(command: Callable[..., Steps[Outcome]]) -> Callable[..., None]:
     @click.option("--debug", is_flag=True, help="Show a traceback when something fails.")
     @wraps(command)
     def wrapped(*args: Any, quiet: bool, as_json: bool, debug: bool, **options: Any) -> None:
+        _tidy_up_when_asked_to_stop()
         try:
             outcome = _driven(command(*args, **options), quiet or as_json)
         except KeyboardInterrupt:
             if debug:
                 raise
-            _fail("stopped; nothing half-written is left. The same command goes on where it can", INTERRUPTED)
+            _fail("stopped; every file there is whole. The same command goes on where it can", INTERRUPTED)
         except MorphspaceError as error:
             if debug:
                 raise

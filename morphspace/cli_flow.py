@@ -36,7 +36,10 @@ OPTIONS = (
         help="Draw it: colours, warped grid, B warped back (.png).",
     ),
     click.option(
-        "--start", type=click.Path(path_type=Path), help="A field on A's grid to start from (.flo, .exr)."
+        "--start",
+        type=click.Path(path_type=Path),
+        help="A field on A's grid to start from (.flo, .exr). Without one, or with the word auto: coarse to fine, and "
+        "the landmarks' spline where there is one.",
     ),
     click.option(
         "--landmarks",

@@ -231,6 +231,37 @@ def test_a_right_start_is_taken_up_where_coarse_to_fine_is_lost(picture, wavy_fi
         assert flow.confidence[inside].mean() > 0.8
 
 
+@pytest.mark.parametrize("name", PRESETS)
+def test_a_start_is_tried_on_a_long_strip(picture, name):
+    canvas = picture(60, 440, seed=4)
+    reference, frame = (np.ascontiguousarray(image) for image in (canvas[:, 40:], canvas[:, :-40]))
+    truth = np.broadcast_to(np.float32((40, 0)), (60, 400, 2)).copy()
+    field = field_of(name, reference, frame, truth)
+    assert np.median(apart(field, truth)) < 0.1
+
+
+@pytest.mark.parametrize("name", PRESETS)
+def test_a_picture_of_one_scale_is_not_undershot(picture, name):
+    canvas = picture(18, 302, seed=6)
+    reference, frame = (np.ascontiguousarray(image) for image in (canvas[1:-1, 2:], canvas[1:-1, :-2]))
+    assert_allclose(np.median(field_of(name, reference, frame), axis=(0, 1)), (2, 0), atol=0.05)
+
+
+@pytest.mark.parametrize("name", PRESETS)
+def test_pictures_that_have_nothing_in_common_are_not_trusted(picture, name):
+    reference, frame = picture(128, 128, seed=1), picture(128, 128, seed=2)
+    assert METHODS[name](reference)(frame, None).confidence.mean() < 0.3
+    assert METHODS[name](reference)(reference, None).confidence.mean() > 0.9
+
+
+@pytest.mark.parametrize("name", PRESETS)
+def test_what_has_left_the_frame_is_not_trusted(picture, name):
+    reference, frame, _, _ = moved(picture, 6, 0)
+    confidence = METHODS[name](reference)(frame, None).confidence
+    assert confidence[:, -5:].mean() < 0.25
+    assert confidence[8:-8, 8:-12].mean() > 0.8
+
+
 def test_a_start_finds_skin_that_went_far(picture):
     """For the quickest preset; the others find most of it by themselves."""
     y, x = np.mgrid[:160, :160].astype(np.float32)

@@ -2,15 +2,18 @@
 
 import dataclasses
 import json
+import os
 import re
 import resource
 import signal
 import struct
 import subprocess
 import sys
+import time
 from pathlib import Path
 from typing import get_args
 
+import cv2
 import jsonschema
 import numpy as np
 import OpenImageIO as oiio
@@ -29,7 +32,8 @@ from morphspace.flow import Flow, methods, names
 from morphspace.flow.pairs import MIN_SIDE_PX, checked_pair, checked_picture, is_featureless, is_grey
 from morphspace.flow.starts import WITHOUT_START, StartKind
 from morphspace.measure import forward_backward_px, stays_inside
-from morphspace.storage import digest_of_file
+from morphspace.storage import digest_of_file, whole_file
+from morphspace.verbs import flow as flow_verb
 from morphspace.verbs.build_model import BuildModelRequest
 from morphspace.verbs.flow_pair import flow_between, turned_round
 
@@ -692,3 +696,39 @@ def test_a_truth_that_does_not_fit_is_named(scenes, asked, field, mentioned):
 
 def test_the_table_never_replaces_a_scene(scenes, asked):
     refused(run("--bench", scenes, "-o", scenes / "Half" / "flow10.flo", *FAST), ".csv")
+
+
+def test_the_word_auto_is_no_file(folder, asked):
+    for words in ((), ("--start", "auto")):
+        done(folder / "a.png", folder / "b.png", "-o", folder / "o.flo", *FAST, *words)
+    assert [start for *_, start in asked.asked] == [None, None]
+
+
+def test_a_name_that_leaves_no_room_is_refused(folder, asked):
+    refused(
+        run(folder / "a.png", folder / "b.png", "-o", folder / f"{'x' * 240}.flo", *FAST), "244 bytes", "200"
+    )
+    assert not list(folder.glob("x*"))
+
+
+def test_a_bench_names_the_scene_and_the_preset_that_fail(scenes, monkeypatch):
+    def fails(reference):
+        raise cv2.error("too small")
+
+    monkeypatch.setitem(methods.METHODS, "dis-medium", fails)
+    refused(run("--bench", scenes, *FAST), "scene Half", "preset dis-medium")
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP, signal.SIGINT])
+def test_who_is_asked_to_stop_tidies_up(folder, monkeypatch, number):
+    def stopped(flows):
+        with whole_file(folder / "o.flo") as unfinished:
+            unfinished.write_bytes(b"half")
+            os.kill(os.getpid(), number)
+            time.sleep(10)  # the signal comes first
+
+    monkeypatch.setattr(flow_verb, "write_flows", stopped)
+    before = sorted(folder.iterdir())
+    result = run(folder / "a.png", folder / "b.png", "-o", folder / "o.flo", *FAST)
+    assert result.exit_code == 130 and "stopped" in result.stderr
+    assert sorted(folder.iterdir()) == before

@@ -46,9 +46,7 @@ class StoredFlow:
 def check_field_name(path: Path) -> None:
     """Raise `BadInput` where a field's name ends in neither .flo nor .exr."""
     if path.suffix.lower() not in FIELD_SUFFIXES:
-        raise BadInput(
-            f"the flow {path} should end in {' or '.join(FIELD_SUFFIXES)}: call it {path.stem or 'out'}.flo"
-        )
+        raise BadInput(f"{path} is no field by its name: a flow ends in {' or '.join(FIELD_SUFFIXES)}")
 
 
 def read_flow(path: str | Path) -> StoredFlow:

@@ -175,9 +175,10 @@ def _add_constraints(
 def _light_apart(backend: Backend, change: Planes, light_codes: float) -> tuple[Planes, Planes]:
     """Take the change of light common to the picture out of a change (c, h, w), and say if the rest is no light (0-d).
 
-    The common part is the median, so that adding a constant to a picture alters nothing. What is left is averaged
-    over cells of `LIGHT_CELL_PX`. Under one light most cells keep their colour, even while a mouth opens in some; where
-    the median cell is off by `light_codes` or more the light has changed and raw values must not be compared.
+    The common part is the median (of every fourth pixel each way), so that adding a constant to a picture alters
+    nothing. What is left is averaged over cells of `LIGHT_CELL_PX`. Under one light most cells keep their colour, even
+    while a mouth opens in some; where the median cell is off by more than `light_codes` the light has changed, and raw
+    values soon count for nothing: exp(-1) of their weight at that limit, exp(-16) at twice it.
     """
     xp = backend.xp
     height, width = change.shape[1:]

@@ -3,9 +3,9 @@
 From the coarsest scale to the finest, the frame is sampled at the present field, every derivative channel says by how
 many px it is still off (`constraints`), and the field takes the step that agrees best with all channels and with its
 neighbours: robust least squares, solved by alternating a 2 x 2 solve at each pixel with an edge-aware smoothing of the
-whole field (alternating direction method of multipliers, so that both agree in the end). In between each pixel may
-take over the motion of a field it was given as a start, and with some presets of a pixel near by, where that looks more
-alike.
+whole field (a few rounds of the alternating direction method of multipliers, which draws the two together). In between
+each pixel may take over the motion of a field it was given as a start, and with some presets of a pixel near by, where
+that looks more alike.
 """
 
 from __future__ import annotations

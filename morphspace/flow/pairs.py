@@ -13,6 +13,7 @@ from morphspace.errors import BadInput, SizeMismatch
 from morphspace.flow import Flow
 
 MIN_SIDE_PX = 16  # two patches of 8 px: below it nothing is left to compare, and no coarser level
+MAX_SIDE_PX = 32766  # the largest that OpenCV's remap takes
 LARGEST_VALUE = (
     1000.0  # far above any light of an HDR picture after sRGB coding; squares stay far inside float32
 )
@@ -38,6 +39,10 @@ def checked_picture(picture: Image, name: str) -> Image:
     if min(height, width) < MIN_SIDE_PX:
         raise BadInput(
             f"{name} has {width}x{height} px: a flow needs at least {MIN_SIDE_PX} on each side; use a larger picture"
+        )
+    if max(height, width) > MAX_SIDE_PX:
+        raise BadInput(
+            f"{name} has {width}x{height} px: a flow has at most {MAX_SIDE_PX} on a side; use a smaller picture"
         )
     largest = max(abs(float(values.max())), abs(float(values.min())))  # NaN and infinity come through both
     if not np.isfinite(largest):

@@ -14,7 +14,9 @@ from morphspace.flow import Flow, FlowFunction, FlowMethod
 from morphspace.flow.folds import unfolded
 
 SMOOTHING = 0.015  # sd, of the image's width; held-out faces, docs/benchmarks.md
-LEAST_WEIGHT = 0.3  # of a point of no confidence; less of it left wide open mouths to their rims (docs/benchmarks.md)
+LEAST_WEIGHT = (
+    0.3  # of a point of no confidence; less of it left wide open mouths to their rims (docs/benchmarks.md)
+)
 
 
 def smoothed(flow: Flow) -> Flow:

@@ -40,6 +40,7 @@ from morphspace.verbs.flow_pair import Pair, flow_between, flow_from_best, read_
 from morphspace.verbs.outcome import RECORD_NAME, Outcome, check_file, check_folder, write_record
 
 WARM_UP_PX = 64  # a side; what a method loads on its first call is not its time
+AUTO_START = Path("auto")  # the word for what happens without a field: the best start there is
 MEAN = "mean"  # the scene of a preset's last row
 FIGURE_COLUMNS = ("aee_px", "aae_deg", "r1_percent", "time_s")
 
@@ -91,6 +92,7 @@ def run_words(
     bench: Path | None,
 ) -> Steps[Outcome]:
     """Turn the words of the command line into the request they make, and run it. Raises `BadInput` for a mixture."""
+    start = None if start == AUTO_START else start
     if bench is not None:
         if pictures or both or picture or start or landmarks:
             raise BadInput(
@@ -251,9 +253,12 @@ def run_bench(request: FlowBenchRequest) -> Steps[Outcome]:
         reference, frame, truth = read_scene(scene)
         for preset, method in chosen.items():
             yield Step("flow", len(rows), len(scenes) * len(chosen))
-            flow_between(method, reference[:WARM_UP_PX, :WARM_UP_PX], frame[:WARM_UP_PX, :WARM_UP_PX])
-            began_s = time.perf_counter()
-            flow = flow_between(method, reference, frame)
+            try:
+                flow_between(method, reference[:WARM_UP_PX, :WARM_UP_PX], frame[:WARM_UP_PX, :WARM_UP_PX])
+                began_s = time.perf_counter()
+                flow = flow_between(method, reference, frame)
+            except BadInput as error:
+                raise BadInput(f"scene {scene.name}, preset {preset}: {error}") from error
             time_s = time.perf_counter() - began_s
             errors = asdict(flow_errors(flow.displacement, truth))
             rows.append({"preset": preset, "scene": scene.name, **errors, "time_s": time_s})

@@ -7,6 +7,7 @@ what went in and of what came out, and the versions of everything that computed.
 from __future__ import annotations
 
 import importlib.metadata
+import os
 import platform
 import re
 from collections.abc import Iterable, Mapping, Sequence
@@ -19,6 +20,7 @@ from morphspace.errors import BadInput, UnwritableFile
 from morphspace.storage import digest_of_file, json_text, write_text
 
 RECORD_NAME = "record.json"
+LONGEST_NAME_BYTES = 200  # of the 255 a file system takes; a record and unfinished files have longer names
 FOLDER_MARKS = re.compile(r"[/\\]")
 LONGEST_NAME = 200  # bytes; file systems allow 255, and a temporary name is longer
 COMPUTING_PACKAGES = (
@@ -78,6 +80,12 @@ def picture_names(names: Sequence[str]) -> tuple[str, ...]:
 
 def check_file(path: Path, suffix: str, kept: Iterable[Path] = ()) -> None:
     """Raise `BadInput` where an output has another suffix, is a folder, or is one of the files to be `kept`."""
+    length = len(os.fsencode(path.name))
+    if length > LONGEST_NAME_BYTES:
+        raise BadInput(
+            f"the output {path.name[:20]}... has a name of {length} bytes: give at most {LONGEST_NAME_BYTES}, "
+            "so that the files beside it have room"
+        )
     if path.suffix.lower() != suffix:
         raise BadInput(f"the output {path} should end in {suffix}: call it {path.stem or 'output'}{suffix}")
     if path.is_dir():
