@@ -137,7 +137,7 @@ def _all_variants(base: Preset) -> Iterator[tuple[str, Preset]]:
 def _with_orders(base: Preset, weights: tuple[float, ...]) -> Preset:
     """Give the preset with other weights of the orders, scaled so that all channels weigh as much as before."""
     channels = base.channels
-    if weights == channels.weights:
+    if weights == channels.weights or not any(weights):  # `fast` has no order 0 at fine scales
         return base
     scale = _together(channels.weights) / _together(weights)
     scaled = tuple(scale * weight for weight in weights)
