@@ -50,7 +50,6 @@ COARSE_PX = (
     160  # the longer side of scales at which raw values lead: lips are a few px there, their colour is seen
 )
 START_PX = 140  # the longer side up to which a start is tried; at the coarsest scale it always is
-COARSEST_WARPS = 3  # at least: nothing else comes before
 SURROUNDINGS_PX = 1.5  # sd of the neighbourhood by which a rival is judged
 CLEARLY, CLEARLY_PX = (
     0.9,
@@ -236,10 +235,9 @@ def _descend(
         else:
             field = _resized_field(field, height, width, backend)
         rival = None if start is None else _resized_field(start, height, width, backend)
-        warps = preset.warps[min(number, len(preset.warps) - 1)]
-        if number == len(levels) - 1:
-            warps = max(warps, COARSEST_WARPS)
-        elif max(height, width) > START_PX:
+        coarsest = number == len(levels) - 1
+        warps = preset.warps[-1] if coarsest else preset.warps[min(number, len(preset.warps) - 1)]
+        if not coarsest and max(height, width) > START_PX:
             rival = None
         field, alike = _refined(level, target[number], field, rival, warps, preset, backend)
     return field, alike

@@ -20,12 +20,12 @@ class Preset:
 
     `colours`: the planes that are compared. `finest`: the last scale, as a share of the full size (of a small picture
     more: `multiscale.FINEST_PX`), and `factor` between scales. `warps` a scale, finest first, the last number for all
-    coarser ones. `channels`: the derivatives, and `coarse_light`, the weight of order 0 at coarse scales. `robust_px`:
-    residuals above it count less and less. `integration_px`: sd over which constraints are pooled. `coupling` of the
-    pixelwise solution to the smooth field, `strength` and `edge_codes` of the smoother (`Backend.smoother`),
-    `smoothings` 1 (slope costs) or 2 (bending costs). `rounds` a warp of robust weights, solution and smoothing.
-    `rivals_px`: the longer side up to which the motions of pixels near by are tried, `rival_step_px` how far off.
-    `checked_px`: the longer side at which the way back is compared (0: not at all).
+    coarser ones and for the coarsest. `channels`: the derivatives, and `coarse_light`, the weight of order 0 at coarse
+    scales. `robust_px`: residuals above it count less and less. `integration_px`: sd over which constraints are pooled.
+    `coupling` of the pixelwise solution to the smooth field, `strength` and `edge_codes` of the smoother
+    (`Backend.smoother`), `smoothings` 1 (slope costs) or 2 (bending costs). `rounds` a warp of robust weights, solution
+    and smoothing. `rivals_px`: the longer side up to which the motions of pixels near by are tried, `rival_step_px` how
+    far off. `checked_px`: the longer side at which the way back is compared (0: not at all).
     """
 
     colours: Literal["grey", "rgb"]
