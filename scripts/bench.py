@@ -2,7 +2,7 @@
 
     python scripts/bench.py SECTION... --data DIR [--judge PYTHON] [--work DIR] [--clips NAME...] [--rounds N]
 
-DIR holds sequences/NAME/frames/*.jpg (or set MORPHSPACE_DATA), and for the sections flow, flow-time and flow-ablation
+DIR holds sequences/NAME/frames/*.jpg (or set MORPHSPACE_DATA), and for the sections whose names begin with flow
 also flow/SCENE and stills_london; PYTHON is the interpreter of the landmark judge (see scripts/landmark_judge.py).
 Sections that need no data: pca, render, open, warp, help, video. Times stand beside a peer in the same run; the ratios
 carry over to another machine, the times do not. Run flow-time on a quiet machine. Models and flow are kept in the work
@@ -24,6 +24,7 @@ from pathlib import Path
 import bench_build
 import bench_flow
 import bench_flow_ablation
+import bench_flow_confidence
 import bench_flow_time
 import bench_landmarks
 import bench_quality
@@ -46,7 +47,8 @@ FLOW_SECTIONS = (
     "flow",
     "flow-time",
     "flow-ablation",
-)  # errors; times; what each part of the estimator is worth
+    "flow-confidence",
+)  # errors; times; what each part of the estimator is worth; confidence
 DATA_SECTIONS = ("roundtrip", "heldout", "landmarks", "ceiling", "build", "memory", *FLOW_SECTIONS)
 OTHER_SECTIONS = ("pca", "render", "open", "warp", "help", "video")
 BUILD_ROUNDS = 3  # at most; a build takes minutes
@@ -98,6 +100,8 @@ def run(section: str, arguments: argparse.Namespace, work: Path) -> None:
         bench_flow_time.flow_time(data, rounds)
     elif section == "flow-ablation":
         bench_flow_ablation.flow_ablation(data)
+    elif section == "flow-confidence":
+        bench_flow_confidence.flow_confidence(data)
     elif section == "video":
         bench_video.video_form()
     else:
