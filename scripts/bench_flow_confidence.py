@@ -25,7 +25,7 @@ def flow_confidence(data: Path) -> None:
     print(
         f"Mean confidence. Wrong, right: points of all pairs whose end point is off by more than {WRONG_PX:g} px, by "
         f"less than {RIGHT_PX:g} px. Faces: the set `{FACE_SET}`. Hidden: points of the drawn actors at rest that "
-        "cannot be seen in the expression. Strangers: those faces, and for a frame the middle of each Middlebury scene; "
+        "cannot be seen in the expression. Strangers: those faces, with as frame the middle of each Middlebury scene; "
         "in brackets the share of points trusted by more than a half.\n"
     )
     faces = face_sets(data, "report", (FACE_SET,))[FACE_SET]
