@@ -19,8 +19,8 @@ if TYPE_CHECKING:  # the command line imports `flow.names` through here, before 
 class Flow:
     """A field and its confidence.
 
-    `displacement` u (h, w, 2) px with reference(p) ~ frame(p + u(p)); `confidence` (h, w) in [0, 1], 0 where the frame
-    does not tell where the point went (hidden, or without texture).
+    `displacement` u (h, w, 2) px with reference(p) ~ frame(p + u(p)); `confidence` (h, w) in [0, 1], low where the
+    frame does not look like the reference at the point (hidden, changed), 0 without texture and outside the frame.
     """
 
     displacement: Displacement
