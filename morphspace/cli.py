@@ -20,6 +20,10 @@ import click
 
 from morphspace import __version__
 from morphspace.cli_flow import flow_options
+from morphspace.cli_keypoints import add_keypoints
+from morphspace.cli_measure import measure_mimicry_options
+from morphspace.cli_mimic import add_mimic
+from morphspace.cli_models import add_models
 from morphspace.errors import BadInput, MorphspaceError
 from morphspace.flow.names import DEFAULT, NAMES
 
@@ -381,6 +385,21 @@ def flow(**options: Any) -> Steps[Outcome]:
     from morphspace.verbs import flow as verb_module
 
     return verb_module.run_words(**options)
+
+
+add_keypoints(main, verb)
+add_mimic(main, verb)
+add_models(main, verb)
+
+
+@main.command("measure-mimicry")
+@measure_mimicry_options
+@verb
+def measure_mimicry(**options: Any) -> Steps[Outcome]:
+    """Measure how well IMITATION follows STIMULUS, in the expression space of the stimulus' model."""
+    from morphspace.verbs import measure_mimicry as verb_module
+
+    return verb_module.run(verb_module.MeasureMimicryRequest(**options))
 
 
 @main.command("make-actors")

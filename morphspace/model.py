@@ -173,6 +173,16 @@ class MorphModel:
         training = Loadings(self.training.values[:, :components], self.training.frame_names, model_id)
         return replace(self, basis=basis, training=training)
 
+    def with_faceframe(self, faceframe: FaceFrame, origin: Mapping[str, Any] | None = None) -> MorphModel:
+        """Give the model with this faceframe on its mean face; its loadings and its `model_id` stay.
+
+        `origin` says where the points came from; it is kept in the provenance as `keypoints`, and what was there goes.
+        """
+        provenance = {key: value for key, value in self.provenance.items() if key != "keypoints"}
+        if origin is not None:
+            provenance["keypoints"] = dict(origin)
+        return replace(self, faceframe=faceframe, provenance=provenance)
+
     def placed(self, rendered: Image, original: Image, registration: Affine) -> Image:
         """Put a rendered face back into the original image (H, W, 3), inside the mask, softly.
 

@@ -12,6 +12,7 @@ import sys
 import time
 from pathlib import Path
 
+import click
 import numpy as np
 import pytest
 from click.testing import CliRunner, Result
@@ -76,6 +77,9 @@ def test_every_verb_has_help_a_request_and_a_line_in_the_readme():
     for name, command in main.commands.items():
         assert command.help
         assert f"`{name}" in readme
+        if isinstance(command, click.Group):
+            assert all(f"`{name} {word}" in readme and verb.help for word, verb in command.commands.items())
+            continue
         module = __import__(f"morphspace.verbs.{name.replace('-', '_')}", fromlist=["run"])
         request = "".join(part.capitalize() for part in name.split("-")) + "Request"
         assert hasattr(module, request) and hasattr(module, "run")

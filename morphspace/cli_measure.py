@@ -1,0 +1,66 @@
+"""The words of `morphspace measure-mimicry` on the command line; nothing heavy is imported, so that help is instant."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import click
+
+OPTIONS = (
+    click.argument("stimulus"),
+    click.argument("imitation"),
+    click.option(
+        "--model",
+        type=click.Path(path_type=Path),
+        required=True,
+        help="The stimulus' model (.morph): both are measured in its space.",
+    ),
+    click.option(
+        "-o",
+        "--output",
+        type=click.Path(path_type=Path),
+        help="The folder to write into [default: the imitation's name and -mimicry].",
+    ),
+    click.option(
+        "-k",
+        "--components",
+        type=int,
+        help="Use only the first components [default: all].",
+    ),
+    click.option(
+        "--permutations",
+        type=click.IntRange(0, 1_000_000),
+        default=1000,
+        show_default=True,
+        help="At most so many circular shifts of the imitation stand for chance.",
+    ),
+    click.option(
+        "--seed",
+        type=click.IntRange(0),
+        default=0,
+        show_default=True,
+        help="Which shifts are drawn, where not all are used.",
+    ),
+    click.option(
+        "--mask",
+        type=click.Path(path_type=Path),
+        help="Measure a part of the face: a grey picture on the mean face, white where it counts.",
+    ),
+    click.option(
+        "--region",
+        type=click.Choice(["whole", "eyes", "mouth"]),
+        default="whole",
+        show_default=True,
+        help="Measure a part of the face by its name.",
+    ),
+)
+"""In the order of the help."""
+
+
+def measure_mimicry_options(command: Callable[..., Any]) -> Callable[..., Any]:
+    """Give the command the words of `morphspace measure-mimicry`; their names are those of its request."""
+    for option in reversed(OPTIONS):
+        command = option(command)
+    return command

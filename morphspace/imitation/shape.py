@@ -1,0 +1,113 @@
+"""The shape of a motion, apart from its place and its size: centred sequences, their correlation, and their lag."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from morphspace.arrays import AnyArray, LoadingTable
+
+LEAST_FRAMES = 3  # with two, every correlation is 1 or -1
+LEAST_OVERLAP = 0.5  # of the shorter sequence; fewer frames in common correlate by chance
+CONSTANT_TOL = 1e-12  # of the largest value: what is left of a constant after rounding
+WINDOW_TOL = 1e-10  # of a column's sum of squares: what running sums lose to rounding
+
+
+def varies(sequence: AnyArray) -> AnyArray:
+    """Give which columns of (..., n, k) move at all, (..., k) bool."""
+    reach = np.abs(sequence).max(axis=-2)
+    return np.asarray(np.ptp(sequence, axis=-2) > CONSTANT_TOL * reach)
+
+
+def centred(sequence: AnyArray) -> AnyArray:
+    """Take the mean over frames from each column of (..., n, k); a column that does not move becomes exactly 0."""
+    moving = varies(sequence)[..., None, :]
+    return np.asarray(np.where(moving, sequence - sequence.mean(axis=-2, keepdims=True), 0.0))
+
+
+def standardised(sequence: LoadingTable) -> LoadingTable:
+    """Take from a sequence (n, k) its place and its size: centred, and of mean square length 1 a frame."""
+    shape = centred(sequence)
+    size = np.sqrt((shape * shape).sum() / len(shape))
+    return np.asarray(shape / size) if size > 0 else shape
+
+
+def ratio(above: AnyArray, below: AnyArray) -> AnyArray:
+    """Divide where what is below is above 0; NaN elsewhere, without a warning."""
+    out: AnyArray = np.full(np.shape(above), np.nan)
+    np.divide(above, below, out=out, where=below > 0)
+    return out
+
+
+def with_total(products: AnyArray) -> AnyArray:
+    """Append to sums of each component (..., k) that of all, (..., k + 1)."""
+    return np.concatenate([products, products.sum(axis=-1, keepdims=True)], axis=-1)
+
+
+def similarity(one: AnyArray, other: AnyArray) -> AnyArray:
+    """Give the correlation (..., k + 1) of two sequences (..., n, k), each component's and that of all together.
+
+    All together: sum of covariances over the root of the product of summed variances, the cosine of the two centred
+    motions in the space of faces. NaN where one does not move.
+    """
+    a, b = centred(one), centred(other)
+    along = with_total((a * b).sum(axis=-2))
+    sizes = with_total((a * a).sum(axis=-2)) * with_total((b * b).sum(axis=-2))
+    return np.clip(ratio(along, np.sqrt(sizes)), -1, 1)
+
+
+def lag_curves(stimulus: LoadingTable, imitations: AnyArray) -> tuple[AnyArray, AnyArray]:
+    """Correlate a stimulus (n, k) with imitations (s, m, k) at each lag: lags (L,) frames, curves (s, L, k + 1).
+
+    At lag L frame t of the stimulus meets frame t + L of the imitation: above 0 the imitation comes later. Each lag is
+    a correlation over its own overlap of at least `LEAST_OVERLAP` of the shorter one. The last column is that of all
+    together; NaN where one does not move.
+    """
+    n, m = len(stimulus), imitations.shape[1]
+    overlap = max(LEAST_FRAMES, int(np.ceil(LEAST_OVERLAP * min(n, m))))
+    lags = np.arange(overlap - n, m - overlap + 1)
+    a, b = centred(stimulus), centred(imitations)
+    length = n + m
+    spectrum = np.conj(np.fft.rfft(a, length, axis=0)) * np.fft.rfft(b, length, axis=1)
+    cross = np.fft.irfft(spectrum, length, axis=1)[:, lags % length]
+    first, last = np.maximum(0, -lags), np.minimum(n, m - lags)
+    count = (last - first)[:, None]
+    sum_a, square_a = _window_sums(a, first, last)
+    sum_b, square_b = _window_sums(b, first + lags, last + lags)
+    along = with_total(cross - sum_a * sum_b / count)
+    spread_a = with_total(square_a - sum_a**2 / count)
+    spread_b = with_total(square_b - sum_b**2 / count)
+    floor_a = WINDOW_TOL * with_total((a * a).sum(axis=0))
+    floor_b = WINDOW_TOL * with_total((b * b).sum(axis=1))[:, None]
+    is_moving = (spread_a > floor_a) & (spread_b > floor_b)
+    sizes = np.where(is_moving, np.maximum(spread_a, 0) * np.maximum(spread_b, 0), 0)
+    return lags, np.clip(ratio(along, np.sqrt(sizes)), -1, 1)
+
+
+def _window_sums(values: AnyArray, first: AnyArray, last: AnyArray) -> tuple[AnyArray, AnyArray]:
+    """Give the sums of values (..., n, k) and of their squares from `first` to before `last`, (..., L, k)."""
+    zero = np.zeros((*values.shape[:-2], 1, values.shape[-1]))
+    sums = []
+    for each in (values, values * values):
+        running = np.concatenate([zero, np.cumsum(each, axis=-2)], axis=-2)
+        sums.append(running[..., last, :] - running[..., first, :])
+    return sums[0], sums[1]
+
+
+def peak(curve: AnyArray, lags: AnyArray) -> tuple[AnyArray, AnyArray]:
+    """Give where each column of a curve (L, k + 1) is highest, as a lag (frames), and how high; of equals the least.
+
+    NaN where a column is undefined at every lag.
+    """
+    order = np.argsort(np.abs(lags), kind="stable")
+    known = np.isfinite(curve)
+    place = order[np.where(known, np.round(curve, 9), -2.0)[order].argmax(axis=0)]
+    height = curve[place, np.arange(curve.shape[1])]
+    return np.where(known.any(axis=0), lags[place], np.nan), height
+
+
+def resampled(sequence: LoadingTable, rate_hz: float, to_rate_hz: float) -> LoadingTable:
+    """Bring a sequence (n, k) from one frame rate to another, (m, k): linear between frames, none beyond the last."""
+    seconds = np.arange(len(sequence)) / rate_hz
+    count = int(np.floor(seconds[-1] * to_rate_hz + 1e-9)) + 1
+    wanted = np.arange(count) / to_rate_hz
+    return np.column_stack([np.interp(wanted, seconds, column) for column in sequence.T])

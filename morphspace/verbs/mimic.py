@@ -1,0 +1,288 @@
+"""mimic: drive one person's model with another person's face (Nagle section 3).
+
+Every driving frame becomes a picture and a row of numbers, one frame at a time; then the pictures are laid beside the
+frames that drove them, in a video and on a page.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from morphspace.arrays import AnyArray
+from morphspace.detection import Detector
+from morphspace.errors import BadInput
+from morphspace.files.clips import Clip, open_clip
+from morphspace.files.tables import write_loadings_table
+from morphspace.mimic import METHODS, Method, mimic
+from morphspace.model import MorphModel
+from morphspace.progress import Steps
+from morphspace.report.mimic_page import MimicryShown, mimic_page
+from morphspace.storage import write_text
+from morphspace.verbs import mimic_advice
+from morphspace.verbs.mimic_frames import WORK_FOLDER, FinishedFrames, frame_steps, video_steps
+from morphspace.verbs.mimic_sources import (
+    MODELS_FOLDER,
+    Driver,
+    UsedModel,
+    clip_driver,
+    opened_model,
+    own_detector,
+    ready_model,
+    training_driver,
+)
+from morphspace.verbs.mimic_table import FrameMade, quality_columns, write_quality
+from morphspace.verbs.outcome import Outcome, check_folder, picture_names, versions, write_record
+from morphspace.verbs.render import CLIPPED_SHARE
+
+DEFAULT_METHOD = "map"  # of the request and of the command line
+MAX_SD = 3.0
+
+
+@dataclass(frozen=True)
+class MimicRequest:
+    """Let `source` drive `target`, each a model or a clip to build one of, and write into the folder `output`.
+
+    `frames` is the clip that drives, None for the source's own training frames; `method` is one of `METHODS`; `gain`
+    multiplies the loadings; `max_sd` bounds each of them; `components` uses the target's first so many, None for all.
+    """
+
+    source: str
+    target: str
+    output: Path
+    frames: str | None = None
+    method: str = DEFAULT_METHOD
+    gain: float = 1.0
+    max_sd: float = MAX_SD
+    components: int | None = None
+
+
+def run(request: MimicRequest, detector: Detector | None = None) -> Steps[Outcome]:
+    """Write frames/, side-by-side.mp4, loadings.csv, quality.csv and index.html. Returns an `Outcome`.
+
+    Its document has `no_face`, the number of driving frames in which no face was found. `detector` None takes the
+    package's own, where its files have been fetched.
+    """
+    _check_request(request)
+    detect = detector or own_detector()
+    opened = [opened_model("--src", request.source, detect), opened_model("--dst", request.target, detect)]
+    folder = request.output
+    _check_early(request, opened)
+    check_folder(folder)
+    models = []
+    for given in opened:
+        models.append((yield from ready_model(given, folder / MODELS_FOLDER, request.components, detect)))
+    source, target = models
+    shown_target = _truncated(target, request.components)
+    driver = training_driver(source) if request.frames is None else clip_driver(source, request.frames)
+    pictures = tuple(folder / "frames" / name for name in picture_names(driver.names))
+    video = folder / "side-by-side.mp4"
+    _check_inputs_stay((*pictures, video), [*driver.files, *_files_of(opened)])
+    check_folder(folder / "frames")
+    make = mimic(source.model, shown_target, _method(request), gain=request.gain, max_sd=request.max_sd)
+    looks = mimic_advice.looks_for_faces(driver, source.model, target.model, detect)
+    settings = {
+        "method": request.method,
+        "gain": request.gain,
+        "max_sd": request.max_sd,
+        "components": shown_target.rank,
+        "frames": "clip" if driver.is_pictures else "training",
+        "faces_looked_for": looks.detector is not None,
+    }
+    work = FinishedFrames(folder / WORK_FOLDER, [settings, source.digest, target.digest], driver, pictures)
+    made = yield from frame_steps(source.model, make, work, looks.detector)
+    pairs = yield from video_steps(driver, pictures, video)
+    columns = quality_columns(driver.names, made)
+    loadings = np.array([one.loadings for one in made]).reshape(len(made), shown_target.rank)
+    loadings_sd = loadings / shown_target.sd
+    advice = mimic_advice.advice_of(source.model, target.model, made, loadings_sd, looks, request.gain)
+    notes = (*driver.notes, *_size_note(source.model, target.model), *looks.notes, *advice)
+    notes += _clipped_note(made, shown_target) + _stale_note(folder / "frames", pictures)
+    told = {
+        **settings,
+        "source": {
+            "identity": source.model.identity,
+            "model_id": source.model.model_id,
+            "sha256": source.digest,
+        },
+        "target": {
+            "identity": target.model.identity,
+            "model_id": target.model.model_id,
+            "sha256": target.digest,
+        },
+        "driver": driver.name,
+        "frame_rate_hz": driver.rate_hz,
+        "notes": list(notes),
+    }
+    written = [*pictures, video, *write_quality(folder, columns, told)]
+    written += _write_loadings(folder / "loadings.csv", loadings_sd, target, source, driver)
+    page = folder / "index.html"
+    shown = MimicryShown(
+        names=(source.model.identity, target.model.identity, driver.name),
+        pairs=pairs,
+        loadings_sd=loadings_sd,
+        max_sd=request.max_sd,
+        rate_hz=driver.rate_hz,
+        columns=columns,
+        notes=notes,
+        video=video.name,
+        settings=_settings_shown(request, told, source, target, driver),
+    )
+    write_text(page, mimic_page(shown))
+    written.append(page)
+    inputs = {"source": source.digest, "target": target.digest, **driver.inputs}
+    written.append(write_record(folder, "mimic", settings, inputs, written))
+    work.remove()
+    return _outcome(folder, source.model, target.model, columns, tuple(notes), tuple(written))
+
+
+def _method(request: MimicRequest) -> Method:
+    for method in METHODS:
+        if method == request.method:
+            return method
+    raise BadInput(f"there is no mimicry by {request.method!r}: choose one of {', '.join(METHODS)}")
+
+
+def _check_request(request: MimicRequest) -> None:
+    _method(request)
+    if not np.isfinite(request.gain):
+        raise BadInput(f"a gain of {request.gain} cannot be used: give a number, 1 for the motion as it is")
+    if not (np.isfinite(request.max_sd) and request.max_sd > 0):
+        raise BadInput(
+            f"a bound of {request.max_sd} SD cannot be used: give a number above 0, such as {MAX_SD:g}"
+        )
+    if request.components is not None and request.components < 1:
+        raise BadInput(f"{request.components} components were asked for: ask for at least 1")
+
+
+def _check_early(request: MimicRequest, opened: Sequence[UsedModel | Clip]) -> None:
+    """Find before a model is built what would be found after it."""
+    target = opened[1]
+    if isinstance(target, UsedModel):
+        _truncated(target, request.components)
+    if request.frames is not None and any(isinstance(given, Clip) for given in opened):
+        open_clip([request.frames])
+
+
+def _files_of(opened: Sequence[UsedModel | Clip]) -> list[Path]:
+    return [path for given in opened if isinstance(given, Clip) for path in given.paths]
+
+
+def _check_inputs_stay(outputs: Sequence[Path], inputs: Sequence[Path]) -> None:
+    kept = {path.resolve() for path in inputs}
+    for path in outputs:
+        if path.resolve() in kept:
+            raise BadInput(
+                f"the output {path} is one of the inputs and would be lost: choose another output folder"
+            )
+
+
+def _truncated(target: UsedModel, components: int | None) -> MorphModel:
+    model = target.model
+    if components is None or components == model.rank:
+        return model
+    if components > model.rank:
+        raise BadInput(
+            f"cannot mimic with {components} components, {model.identity} has {model.rank}: choose 1 to {model.rank}"
+        )
+    return model.truncate(components)
+
+
+def _write_loadings(
+    path: Path, loadings_sd: AnyArray, target: UsedModel, source: UsedModel, driver: Driver
+) -> tuple[Path, Path]:
+    """Write the loadings in SD of the target, with a sidecar as `encode` does, and whose motion it was."""
+    model = target.model
+    document = {
+        "model_id": model.model_id,
+        "model_sha256": target.digest,
+        "identity": model.identity,
+        "consent": model.provenance.get("consent"),
+        "licence": model.provenance.get("licence"),
+        "frame_rate_hz": driver.rate_hz,
+        "source_model_id": source.model.model_id,
+        "source_identity": source.model.identity,
+        "inputs": driver.inputs,
+        "versions": versions(),
+    }
+    write_loadings_table(path, loadings_sd, driver.names, document)
+    return path, path.with_suffix(".json")
+
+
+def _size_note(source: MorphModel, target: MorphModel) -> tuple[str, ...]:
+    if source.size == target.size:
+        return ()
+    return (
+        f"{source.identity} has frames of {source.size[0]}x{source.size[1]}, {target.identity} of {target.size[0]}x"
+        f"{target.size[1]}: what is carried over is resampled to the latter",
+    )
+
+
+def _clipped_note(made: Sequence[FrameMade], target: MorphModel) -> tuple[str, ...]:
+    clipped = sum(one.clipped for one in made)
+    if clipped <= CLIPPED_SHARE * len(made) * target.mask.size * 3:
+        return ()
+    return (f"{clipped} colour values left the range of the files and were clipped: lower the gain",)
+
+
+def _stale_note(folder: Path, pictures: Sequence[Path]) -> tuple[str, ...]:
+    others = sorted({path.name for path in folder.glob("*.png")} - {path.name for path in pictures})
+    if not others:
+        return ()
+    return (
+        f"the folder {folder.name} holds {len(others)} other pictures, such as {others[0]}: an earlier run "
+        "left them there",
+    )
+
+
+def _settings_shown(
+    request: MimicRequest, told: dict[str, Any], source: UsedModel, target: UsedModel, driver: Driver
+) -> dict[str, str]:
+    sizes = [f"{used.model.size[0]}x{used.model.size[1]}" for used in (source, target)]
+    rate = "not known" if driver.rate_hz is None else f"{driver.rate_hz:g} Hz"
+    what = "a clip" if driver.is_pictures else "the source's training frames, from their loadings"
+    return {
+        "method": request.method,
+        "gain": f"{request.gain:g}",
+        "bound of each loading": f"{request.max_sd:g} SD",
+        "components": f"{told['components']} of {target.model.rank}",
+        "source": f"{source.model.identity}, model {source.model.model_id}, {sizes[0]}, {source.path.name}",
+        "target": f"{target.model.identity}, model {target.model.model_id}, {sizes[1]}, {target.path.name}",
+        "driven by": f"{driver.name}: {what}, {len(driver.names)} frames",
+        "frame rate": rate,
+        "faces looked for": "yes" if told["faces_looked_for"] else "no",
+    }
+
+
+def _outcome(
+    folder: Path,
+    source: MorphModel,
+    target: MorphModel,
+    columns: dict[str, list[Any]],
+    notes: tuple[str, ...],
+    written: tuple[Path, ...],
+) -> Outcome:
+    flags = columns["flags"]
+    flagged = sum(bool(words) for words in flags)
+    no_face = sum("no-face" in words.split() for words in flags)
+    warp_kept = float(np.median(columns["warp_kept"]))
+    lines = (
+        f"{folder}: {target.identity} shows {len(flags)} frames of {source.identity}; of the motion {warp_kept:.0%} is "
+        f"kept (median), {flagged} frames are flagged",
+        f"page: {folder / 'index.html'}",
+    )
+    document = {
+        "output": str(folder),
+        "page": str(folder / "index.html"),
+        "frames": len(flags),
+        "flagged": flagged,
+        "no_face": no_face,
+        "warp_kept_median": warp_kept,
+        "texture_kept_median": float(np.median(columns["texture_kept"])),
+        "model_id": target.model_id,
+    }
+    return Outcome(lines, document, notes, written)

@@ -1,0 +1,140 @@
+"""What a person should know of a mimicry before using it: faces that were not seen, means that differ, motion lost."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from morphspace.arrays import AnyArray
+from morphspace.detection import Detector
+from morphspace.facepoints import LOWER_LIP_TOP, MOUTH_CORNERS, UPPER_LIP_BOTTOM, FacePoints
+from morphspace.model import MorphModel
+from morphspace.verbs.mimic_sources import Driver
+from morphspace.verbs.mimic_table import FOLDS, NO_FACE, OUT_OF_RANGE, OUT_OF_RANGE_SD, TURNED, FrameMade
+
+LITTLE_KEPT = 0.3  # median share of the motion; below it the target hardly follows
+WANTED_GAIN = (
+    0.5  # away from 1 by more than this, another size of motion was asked for, and little is kept on purpose
+)
+MEANS_APART = 0.08  # of the eye distance; a closed and a slightly open mouth differ by as much
+OFF_CENTRE_SD = 2.0  # mean loading of a whole clip; the source's own training frames come to 0
+
+
+@dataclass(frozen=True, eq=False)
+class Looks:
+    """How driving frames are looked at: by `detector`, or not at all; `means` are the points of both mean faces."""
+
+    detector: Detector | None
+    means: tuple[FacePoints, FacePoints] | None
+    notes: tuple[str, ...] = ()
+
+
+def looks_for_faces(
+    driver: Driver, source: MorphModel, target: MorphModel, detector: Detector | None
+) -> Looks:
+    """Decide whether faces are looked for in the driving frames, and look at both mean faces. Says what was left out.
+
+    A face that the detector does not know on the source's mean, such as a drawn one, it will not know in the frames.
+    """
+    if detector is None:
+        frames = "whether each driving frame shows a face, turned or not, and " if driver.is_pictures else ""
+        words = (
+            f"{frames}whether the means of the two models differ in expression was not looked at: that needs the "
+            "networks (morphspace models fetch)"
+        )
+        return Looks(None, None, (words,))
+    found = [detector(np.clip(model.mean.render(), 0, 1)) for model in (source, target)]
+    a, b = found
+    means = (a, b) if a is not None and b is not None else None
+    if a is None:
+        words = (
+            f"the detector sees no face in the mean of {source.identity}: its frames were not looked at for faces and "
+            "turned heads"
+        )
+        return Looks(None, None, (words,) if driver.is_pictures else ())
+    return Looks(detector if driver.is_pictures else None, means)
+
+
+def expression_of(points: FacePoints) -> dict[str, float]:
+    """Give what tells of expression in a mean face, in eye distances: how far the mouth is open, and how wide."""
+    x = points.points
+    upper, lower = x[UPPER_LIP_BOTTOM], x[LOWER_LIP_TOP]
+    right, left = x[list(MOUTH_CORNERS)]
+    scale = points.interocular_px
+    return {
+        "mouth opening": float(np.hypot(*(lower - upper))) / scale,
+        "mouth width": float(np.hypot(*(left - right))) / scale,
+    }
+
+
+def advice_of(
+    source: MorphModel,
+    target: MorphModel,
+    made: Sequence[FrameMade],
+    loadings_sd: AnyArray,
+    looks: Looks,
+    gain: float,
+) -> tuple[str, ...]:
+    """Give what should be read first, each with what to do about it."""
+    return (
+        *_means_words(source, target, looks),
+        *_kept_words(target, made, gain),
+        *_centre_words(source, target, loadings_sd),
+        *_flag_words(target, made),
+    )
+
+
+def _means_words(source: MorphModel, target: MorphModel, looks: Looks) -> tuple[str, ...]:
+    if looks.means is None:
+        return ()
+    a, b = (expression_of(points) for points in looks.means)
+    name = "mouth opening"
+    apart = a[name] - b[name]
+    if abs(apart) <= MEANS_APART:
+        return ()
+    opener, other = (source, target) if apart > 0 else (target, source)
+    return (
+        f"the mean faces differ in expression: the mouth of {opener.identity} is open by {max(a[name], b[name]):.0%} "
+        f"of the eye distance, that of {other.identity} by {min(a[name], b[name]):.0%}. What is neutral for one is not "
+        "for the other, and every face is off by the difference: build both models from frames of like expressions",
+    )
+
+
+def _kept_words(target: MorphModel, made: Sequence[FrameMade], gain: float) -> tuple[str, ...]:
+    kept = float(np.median([one.quality.warp_kept for one in made]))
+    if kept >= LITTLE_KEPT or abs(gain - 1) > WANTED_GAIN:
+        return ()
+    return (
+        f"{target.identity} shows only {max(kept, 0):.0%} of the motion's energy (median over frames): its frames hold "
+        "little like it. Build its model from frames with more and stronger expressions, check the keypoints of both "
+        "models, or raise --gain",
+    )
+
+
+def _centre_words(source: MorphModel, target: MorphModel, loadings_sd: AnyArray) -> tuple[str, ...]:
+    mean = loadings_sd.mean(axis=0)
+    farthest = int(np.abs(mean).argmax())
+    if abs(mean[farthest]) <= OFF_CENTRE_SD:
+        return ()
+    return (
+        f"on average the frames drive {target.identity} to {mean[farthest]:+.1f} SD of pc{farthest + 1:03d}: the "
+        f"driving clip holds mostly one expression, or light and pose are not those that {source.identity} was built "
+        "from. In the second case the difference is in every face: build the source's model from the driving clip",
+    )
+
+
+def _flag_words(target: MorphModel, made: Sequence[FrameMade]) -> tuple[str, ...]:
+    meanings = {
+        NO_FACE: "show no face to the detector: what was made of them means nothing",
+        TURNED: "show a head turned by more than 20 degrees: its far side is hidden, and the motion is less sure",
+        OUT_OF_RANGE: f"ask for what {target.identity} hardly ever shows, beyond {OUT_OF_RANGE_SD:g} SD (see --max-sd)",
+        FOLDS: "fold over themselves in places: lower --gain or --max-sd",
+    }
+    words = []
+    for flag, meaning in meanings.items():
+        count = sum(flag in one.flags for one in made)
+        if count:
+            words.append(f"{count} of {len(made)} frames {meaning}; quality.csv marks them {flag}")
+    return tuple(words)

@@ -1,0 +1,161 @@
+"""From driving frames to pictures and their side-by-side video, a few frames at a time, and none of them twice.
+
+What is finished is kept in the output folder until all is, under a name made of everything it depends on, so that a run
+that was stopped goes on where it was. The video shows the pictures as they were written, in a pass of its own.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, fields
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+
+from morphspace.arrays import AnyArray, Image
+from morphspace.detection import Detector
+from morphspace.files.images import read_image, write_image
+from morphspace.files.video import write_video
+from morphspace.mimic import Mimic, Quality, offset_of
+from morphspace.model import MorphModel
+from morphspace.progress import Step, Steps, in_order
+from morphspace.report.mimic_page import PAIRS_SHOWN
+from morphspace.storage import digest_of_file, digest_of_json, json_text, write_text
+from morphspace.verbs.mimic_sources import Driver
+from morphspace.verbs.mimic_table import FaceSeen, FrameMade, made_of
+from morphspace.verbs.outcome import versions
+from morphspace.verbs.render import FRAME_RATE_HZ
+
+WORK_FOLDER = "mimic.work"  # in the output: finished frames of a run that was stopped
+WORK_FORMAT = "morphspace-mimic-frame-1"
+KEY_DIGITS = 32
+GAP_PX = 4  # between the panels of the video
+THUMBNAIL_WIDTH_PX = 132
+
+
+@dataclass(frozen=True, eq=False)
+class FinishedFrames:
+    """The finished frames of this request in the output folder, each under a name made of all it depends on."""
+
+    folder: Path
+    common: list[Any]
+    driver: Driver
+    pictures: tuple[Path, ...]
+
+    def file(self, place: int) -> Path:
+        names = [entry.name for entry in fields(Quality)]
+        parts = [WORK_FORMAT, self.common, names, versions(), self.pictures[place].name]
+        return self.folder / f"{digest_of_json([*parts, self.driver.digests[place]])[:KEY_DIGITS]}.json"
+
+    def read(self, place: int) -> FrameMade | None:
+        """Give a frame that was finished before, or None where its row or its picture is missing or another."""
+        file, picture = self.file(place), self.pictures[place]
+        if not (file.is_file() and picture.is_file()):
+            return None
+        try:
+            made = made_of(json.loads(file.read_text(encoding="utf-8")))
+        except (OSError, ValueError, KeyError, TypeError):
+            return None
+        return made if made.sha256 == digest_of_file(picture) else None
+
+    def write(self, place: int, made: FrameMade) -> None:
+        write_text(self.file(place), json_text(made.document()))
+
+    def remove(self) -> None:
+        """Take away what is finished and recorded; what another request left there stays."""
+        for place in range(len(self.pictures)):
+            self.file(place).unlink(missing_ok=True)
+        if self.folder.is_dir() and not any(self.folder.iterdir()):
+            self.folder.rmdir()
+
+
+def frame_steps(
+    source: MorphModel, make: Mimic, work: FinishedFrames, detect: Detector | None
+) -> Steps[list[FrameMade]]:
+    """Make each frame that is not there yet and write its picture, a few at a time; give what became of each."""
+    driver, total = work.driver, len(work.pictures)
+    made = {place: one for place in range(total) if (one := work.read(place)) is not None}
+    missing = [place for place in range(total) if place not in made]
+    if made:
+        yield Step("mimic", len(made), total)
+    if missing:
+        make(
+            offset_of(source, np.zeros(0))
+        )  # what it prepares on first use is prepared here, and not by each thread
+        if driver.is_pictures:
+            _ = source.flow_from_reference
+
+    def one_frame(item: tuple[int, AnyArray]) -> tuple[int, FrameMade]:
+        place, given = item
+        face = None if detect is None else _seen(detect, driver.picture(given))
+        mimicry = make(driver.offset(driver.names[place], given))
+        clipped = write_image(work.pictures[place], mimicry.morph.render())
+        digest = digest_of_file(work.pictures[place])
+        return place, FrameMade(tuple(mimicry.loadings.tolist()), mimicry.quality, face, clipped, digest)
+
+    for place, one in in_order(one_frame, zip(missing, driver.given(missing), strict=True)):
+        work.write(place, one)
+        made[place] = one
+        yield Step("mimic", len(made), total)
+    return [made[place] for place in range(total)]
+
+
+def _seen(detect: Detector, picture: Image) -> FaceSeen:
+    points = detect(picture)
+    if points is None:
+        return FaceSeen(found=False)
+    if points.depth is None:
+        return FaceSeen(found=True)
+    yaw, pitch = points.turn_degrees
+    return FaceSeen(found=True, is_turned=points.is_turned(), yaw_deg=yaw, pitch_deg=pitch)
+
+
+def video_steps(
+    driver: Driver, pictures: Sequence[Path], video: Path
+) -> Steps[list[tuple[str, Image, Image]]]:
+    """Write the video of source beside mimicry; give small pairs of a few frames for the page."""
+    total = len(pictures)
+    shown = set(np.linspace(0, total - 1, min(total, PAIRS_SHOWN)).round().astype(int).tolist())
+    pairs: list[tuple[str, Image, Image]] = []
+    yield Step("video", 0, total)
+
+    def frames() -> Iterator[Image]:
+        sources = in_order(driver.picture, driver.given(range(total)))
+        for place, (picture, path) in enumerate(zip(sources, pictures, strict=True)):
+            mimicry = read_image(path)
+            if place in shown:
+                pairs.append(
+                    (
+                        driver.names[place],
+                        _of_width(picture, THUMBNAIL_WIDTH_PX),
+                        _of_width(mimicry, THUMBNAIL_WIDTH_PX),
+                    )
+                )
+            gap = np.ones((mimicry.shape[0], GAP_PX, 3), np.float32)
+            yield np.concatenate([_of_height(picture, mimicry.shape[0]), gap, mimicry], axis=1)
+
+    write_video(video, frames(), frame_rate_hz=driver.rate_hz or FRAME_RATE_HZ, encoding="people")
+    yield Step("video", total, total)
+    return pairs
+
+
+THUMBNAIL_WIDTH_PX = 132
+
+
+def _of_width(image: Image, width: int) -> Image:
+    """Give an image (h, w, 3) at this width."""
+    height = max(1, round(image.shape[0] * width / image.shape[1]))
+    method = cv2.INTER_AREA if width < image.shape[1] else cv2.INTER_CUBIC
+    scaled = cv2.resize(image, (width, height), interpolation=method)
+    return np.asarray(np.clip(scaled, 0, 1), np.float32)
+
+
+def _of_height(image: Image, height: int) -> Image:
+    if image.shape[0] == height:
+        return image
+    width = max(1, round(image.shape[1] * height / image.shape[0]))
+    method = cv2.INTER_AREA if height < image.shape[0] else cv2.INTER_CUBIC
+    return np.asarray(cv2.resize(image, (width, height), interpolation=method), np.float32)

@@ -1,0 +1,220 @@
+"""What mimicry starts from: the two models, given or built from clips, and the frames that drive.
+
+A driving frame is either a picture, which is aligned and taken apart on the source's mean face, or a row of the
+source's own training loadings. Frames are handed on one at a time, so that a clip may be of any length.
+"""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from morphspace.arrays import AnyArray, Image
+from morphspace.build import COMPONENTS
+from morphspace.detection import Detector, load_detector, models_present
+from morphspace.errors import BadInput
+from morphspace.files.clips import VIDEO_SUFFIXES, Clip, open_clip
+from morphspace.flow import methods
+from morphspace.keypoints import detect_faceframe
+from morphspace.mimic import offset_of
+from morphspace.model import MorphModel, load_model
+from morphspace.morph import MorphOffset
+from morphspace.progress import Step, Steps
+from morphspace.storage import digest_of_file, digest_of_json
+from morphspace.verbs import build_model
+from morphspace.verbs.build_model import BuildModelRequest
+from morphspace.verbs.encoding import framed_for
+from morphspace.verbs.outcome import versions
+
+MODELS_FOLDER = "models"  # beside the output: models that were built on the way
+MODEL_SUFFIX = ".morph"
+
+
+@dataclass(frozen=True, eq=False)
+class UsedModel:
+    """A model that takes part, the file it lies in, and that file's SHA-256."""
+
+    model: MorphModel
+    path: Path
+    digest: str
+
+
+@dataclass(frozen=True, eq=False)
+class Driver:
+    """The frames that drive.
+
+    `names` of the frames | `digests` of what each is | `inputs` name to digest, for the record | `given` yields what is
+    known of the frames at these places, one at a time: pictures (h, w, 3) of the source's size, or loadings (k,) |
+    `offset` takes one of them apart, by its name, relative to the source's mean | `picture` draws one of them (h, w, 3)
+    | `files` they lie in | `notes` on what was done to the frames | `is_pictures` tells whether faces can be looked for
+    in them.
+    """
+
+    name: str
+    names: tuple[str, ...]
+    digests: tuple[str, ...]
+    inputs: dict[str, str]
+    rate_hz: float | None
+    given: Callable[[Sequence[int]], Iterator[AnyArray]]
+    offset: Callable[[str, AnyArray], MorphOffset]
+    picture: Callable[[AnyArray], Image]
+    files: tuple[Path, ...] = ()
+    notes: tuple[str, ...] = ()
+    is_pictures: bool = True
+
+
+def training_driver(source: UsedModel) -> Driver:
+    """Let the source's own training frames drive, from their loadings; a picture of one is its reconstruction."""
+    model = source.model
+    loadings = model.training.values
+    if len(loadings) == 0:
+        raise BadInput(f"{source.path} holds no training frames: give driving frames with --frames")
+    rate = model.provenance.get("frame_rate_hz")
+    return Driver(
+        name=model.identity,
+        names=model.training.frame_names,
+        digests=tuple(digest_of_json([source.digest, place]) for place in range(len(loadings))),
+        inputs={},
+        rate_hz=float(rate) if rate else None,
+        given=lambda places: (np.array(loadings[place], np.float64) for place in places),
+        offset=lambda name, row: offset_of(model, row),
+        picture=model.render,
+        is_pictures=False,
+    )
+
+
+def clip_driver(source: UsedModel, frames: str) -> Driver:
+    """Let a clip drive: each frame is aligned to the source's reference and taken apart on its mean face."""
+    model = source.model
+    framed = framed_for(model, (frames,), None)
+    framing = framed.framing
+    notes: tuple[str, ...] = ()
+    if framing.scaled_size != framing.box[2:] or any(framing.cut_off):
+        notes = (
+            f"driving frames of {framing.box[2]}x{framing.box[3]} are scaled to {framing.scaled_size[0]}x"
+            f"{framing.scaled_size[1]} and cropped to the middle {framing.size[0]}x{framing.size[1]}, the frames of "
+            f"{model.identity}",
+        )
+
+    def offset(name: str, picture: Image) -> MorphOffset:
+        return model.morph_of(model.align(picture, name).image, model.flow_from_reference) - model.mean
+
+    return Driver(
+        name=framed.clip.name,
+        names=framed.names,
+        digests=framed.digests,
+        inputs={
+            f"frames/{name}": digest for name, digest in zip(framed.names, framed.file_digests, strict=True)
+        },
+        rate_hz=framed.clip.sidecar.frame_rate_hz,
+        given=lambda places: framed.images(list(places)),
+        offset=offset,
+        picture=lambda picture: picture,
+        files=framed.clip.paths,
+        notes=notes,
+    )
+
+
+def own_detector() -> Detector | None:
+    """Give the detector of faces where its files have been fetched, else None."""
+    return load_detector() if models_present() else None
+
+
+def opened_model(role: str, given: str, detector: Detector | None) -> UsedModel | Clip:
+    """Open a model or a clip and check, before any work, that it has or can get keypoints. Raises `BadInput`."""
+    path = Path(given)
+    if path.suffix.lower() == MODEL_SUFFIX and not path.is_dir():
+        model = load_model(path)
+        if model.faceframe is None:
+            raise BadInput(
+                f"{role} {path} has no keypoints: set them with `morphspace keypoints {path} --auto`, or with --set or "
+                "--from"
+            )
+        return UsedModel(model, path, digest_of_file(path))
+    if path.is_file() and path.suffix.lower() not in VIDEO_SUFFIXES:
+        raise BadInput(
+            f"{role} {path} is one file: give a model ({MODEL_SUFFIX}), or a folder, a quoted pattern or a video to "
+            "build one of"
+        )
+    clip = open_clip([given])
+    if clip.sidecar.faceframe is None and detector is None:
+        raise BadInput(
+            f"{role} {given} is a clip, and the keypoints of its model cannot be found without the networks: run "
+            "`morphspace models fetch` once, or give a model with keypoints (`morphspace keypoints`)"
+        )
+    return clip
+
+
+def ready_model(
+    given: UsedModel | Clip, folder: Path, components: int | None, detector: Detector | None
+) -> Steps[UsedModel]:
+    """Give the model, found in `folder` or built into it where a clip was given, with keypoints. A generator of steps.
+
+    A model there is taken where its clip's digests, its settings and the version are the same.
+    """
+    if isinstance(given, UsedModel):
+        return given
+    asked = max(COMPONENTS, components or 0)
+    path, model = _found(given, folder, asked)
+    if model is None:
+        work = folder / f"{path.name}.work"
+        request = BuildModelRequest(sources=_sources(given), output=path, components=asked, work_folder=work)
+        yield from build_model.run(request)
+        shutil.rmtree(work, ignore_errors=True)
+        model = load_model(path)
+    if model.faceframe is None:
+        if detector is None:
+            raise BadInput(
+                f"the model {path} has no keypoints, and they cannot be found without the networks: run `morphspace "
+                f"models fetch` once, or set them with `morphspace keypoints {path} --set`"
+            )
+        found = yield from detect_faceframe(model, detector)
+        origin = {
+            "source": "auto",
+            "lip": "philtrum",
+            "on": "mean",
+            "faces": found.faces,
+            "found": found.found,
+            "spread_px": [round(float(value), 3) for value in found.spread_px],
+        }
+        model.with_faceframe(found.faceframe, origin).save(path)
+        model = load_model(path)
+    yield Step("models", 1, 1)
+    return UsedModel(model, path, digest_of_file(path))
+
+
+def _sources(clip: Clip) -> tuple[str, ...]:
+    """Give the clip's files, a video once."""
+    return tuple(dict.fromkeys(map(str, clip.paths)))
+
+
+def _found(clip: Clip, folder: Path, components: int) -> tuple[Path, MorphModel | None]:
+    """Give the model built of this clip with these settings, or the free name for one."""
+    inputs = dict(zip(clip.frame_names, clip.digests(), strict=True))
+    size = build_model.default_size(clip.size, None)
+    number = 1
+    while True:
+        path = folder / f"{clip.name}{'' if number == 1 else f'-{number}'}{MODEL_SUFFIX}"
+        if not path.exists():
+            return path, None
+        model = load_model(path)
+        told = model.provenance
+        same = (
+            told.get("inputs") == inputs
+            and told.get("identity") == (clip.sidecar.identity or clip.name)
+            and told.get("consent") == clip.sidecar.consent
+            and told.get("licence") == clip.sidecar.licence
+            and told.get("frame_rate_hz") == clip.sidecar.frame_rate_hz
+            and (model.reference_faceframe is None) == (clip.sidecar.faceframe is None)
+            and told.get("components_asked") == components
+            and model.flow == methods.DEFAULT
+            and model.size == size
+            and told.get("versions") == versions()
+        )
+        if same:
+            return path, model
+        number += 1

@@ -1,0 +1,129 @@
+"""The table of what became of each frame that was mimicked: quality.csv, and quality.json that describes it.
+
+What a person should look at has a word in the column `flags`. The layout is `data_spec/mimicry.md`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, fields
+from pathlib import Path
+from typing import Any
+
+from morphspace.files.tables import write_metrics_table
+from morphspace.mimic import Quality
+from morphspace.storage import json_text, write_text
+from morphspace.verbs.outcome import versions
+
+FORMAT = "morphspace-mimicry"
+VERSION = 1
+OUT_OF_RANGE_SD = 4.0  # one of fifty normal loadings comes as far in one frame of three hundred
+FOLDED = 0.005  # of the cells inside the mask; a good result stays below
+NO_FACE, TURNED, OUT_OF_RANGE, FOLDS = "no-face", "turned", "out-of-range", "folds"
+
+COLUMNS: dict[str, tuple[str, str]] = {
+    "frame": ("", "the driving frame; its picture is frames/NAME.png"),
+    "texture_kept": (
+        "share",
+        "energy of the carried change of colour that the face shows: 1 - |asked - shown|^2 / |asked|^2; below 0 where "
+        "another change is shown than was asked",
+    ),
+    "warp_kept": ("share", "of the carried motion that the face shows, likewise"),
+    "length_sd": ("SD", "Mahalanobis length of the loadings, root mean square over components"),
+    "largest_sd": ("SD", "the largest loading as it was asked for, before the bound"),
+    "bounded": ("components", "how many the bound shortened by more than a tenth"),
+    "folds": ("share", "cells inside the mask that the face turns over"),
+    "yaw_deg": (
+        "degree",
+        "turn of the driving head, positive towards the picture's right; empty where not measured",
+    ),
+    "pitch_deg": ("degree", "turn of the driving head upwards; empty where not measured"),
+    "flags": (
+        "",
+        f"words with blanks between: {NO_FACE} none was found in the driving frame; {TURNED} by more than 20 degrees; "
+        f"{OUT_OF_RANGE} more than {OUT_OF_RANGE_SD:g} SD of a component was asked for; {FOLDS} more than {FOLDED:.1%}",
+    ),
+}
+"""Each column of the table: its unit and what it means."""
+
+
+@dataclass(frozen=True)
+class FaceSeen:
+    """What the detector saw in a driving frame: whether a face was `found`, and its turn in degrees."""
+
+    found: bool
+    is_turned: bool = False
+    yaw_deg: float | None = None
+    pitch_deg: float | None = None
+
+
+@dataclass(frozen=True)
+class FrameMade:
+    """One finished frame: `loadings` (k,), its quality, what was seen in the driving frame, how many values were
+    clipped, and the SHA-256 of its picture.
+    """
+
+    loadings: tuple[float, ...]
+    quality: Quality
+    face: FaceSeen | None
+    clipped: int
+    sha256: str
+
+    @property
+    def flags(self) -> tuple[str, ...]:
+        """The words a person should read about it."""
+        told = {
+            NO_FACE: self.face is not None and not self.face.found,
+            TURNED: self.face is not None and self.face.is_turned,
+            OUT_OF_RANGE: self.quality.largest_sd > OUT_OF_RANGE_SD,
+            FOLDS: self.quality.folds > FOLDED,
+        }
+        return tuple(word for word, holds in told.items() if holds)
+
+    def document(self) -> dict[str, Any]:
+        """Give it as JSON; `made_of` is the inverse."""
+        return asdict(self)
+
+
+def made_of(document: Mapping[str, Any]) -> FrameMade:
+    """Read a finished frame back from its JSON, bit-equal."""
+    face = document["face"]
+    return FrameMade(
+        tuple(map(float, document["loadings"])),
+        Quality(**document["quality"]),
+        None if face is None else FaceSeen(**face),
+        int(document["clipped"]),
+        str(document["sha256"]),
+    )
+
+
+def quality_columns(names: Sequence[str], made: Sequence[FrameMade]) -> dict[str, list[Any]]:
+    """Give the table's columns by name, in order."""
+    table: dict[str, list[Any]] = {"frame": list(names)}
+    for entry in fields(Quality):
+        table[entry.name] = [getattr(one.quality, entry.name) for one in made]
+    table["yaw_deg"] = [None if one.face is None else one.face.yaw_deg for one in made]
+    table["pitch_deg"] = [None if one.face is None else one.face.pitch_deg for one in made]
+    table["flags"] = [" ".join(one.flags) for one in made]
+    return table
+
+
+def write_quality(
+    folder: Path, columns: Mapping[str, Sequence[Any]], told: Mapping[str, Any]
+) -> tuple[Path, Path]:
+    """Write quality.csv, and quality.json that describes its columns and holds what was `told`."""
+    table, beside = folder / "quality.csv", folder / "quality.json"
+    write_metrics_table(table, columns)
+    document = {
+        "format": FORMAT,
+        "version": VERSION,
+        "columns": {
+            name: {"unit": unit, "meaning": meaning}
+            for name, (unit, meaning) in COLUMNS.items()
+            if name in columns
+        },
+        **told,
+        "versions": versions(),
+    }
+    write_text(beside, json_text(document))
+    return table, beside

@@ -1,0 +1,200 @@
+"""The two motions of a measured imitation: from clips or tables, in one space, of one part of the face, at one rate.
+
+What was done to make them comparable is said in notes, which the page and the command line show.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+
+from morphspace.arrays import AnyArray, Image, LoadingTable, Mask
+from morphspace.errors import BadInput, ReferenceMismatch
+from morphspace.faces import mouth_region, rigid_region
+from morphspace.files.framed import FramedClip
+from morphspace.files.images import read_mask
+from morphspace.files.tables import read_loadings_table
+from morphspace.imitation import MaskedBasis, masked_basis
+from morphspace.imitation.shape import LEAST_FRAMES, resampled
+from morphspace.model import MorphModel, inner_product
+from morphspace.morph import vector_of
+from morphspace.progress import Step, Steps, in_order
+from morphspace.storage import digest_of_file
+from morphspace.verbs.encoding import encoded_frames, framed_for
+from morphspace.verbs.render import check_reach
+
+Region = Literal["whole", "eyes", "mouth"]
+EYES_DOWN_TO = (0.53, 0.45)  # share of the frame's height; of eye-to-philtrum, where there is a faceframe
+
+
+@dataclass(frozen=True, eq=False)
+class Motion:
+    """A motion in the space of a model: `loadings_sd` (n, k), `rate_hz` or None, and the clip it came from, if any.
+
+    `components` says how many columns are known (the rest are 0); `places` (n,) which frame of the clip each row shows.
+    """
+
+    name: str
+    frame_names: tuple[str, ...]
+    loadings_sd: LoadingTable
+    rate_hz: float | None
+    clip: FramedClip | None
+    components: int
+    places: AnyArray
+    inputs: dict[str, str]
+
+
+def part_of(model: MorphModel, mask: Path | None, region: Region) -> MaskedBasis | None:
+    """Give the basis seen through the mask or region; None where all of the face is measured."""
+    if mask is not None:
+        share = read_mask(mask)
+        if share.shape != model.mask.shape:
+            raise BadInput(
+                f"the mask {mask} is {share.shape[1]}x{share.shape[0]}, the model's frames are "
+                f"{model.size[0]}x{model.size[1]}: draw it on the mean face at that size"
+            )
+    elif region == "whole":
+        return None
+    else:
+        share = region_mask(model, region)
+    return masked_basis(model.basis, inner_product(share, 1.0))
+
+
+def region_mask(model: MorphModel, region: Region) -> Mask:
+    """Give where a named part lies on the mean face, (h, w) in [0, 1]: by the faceframe, else where faces stand.
+
+    `eyes` is the rigid part down to beneath the eyes, brows included; `mouth` that of `faces.mouth_region`.
+    """
+    height, width = model.mask.shape
+    if region == "whole":
+        return np.ones((height, width), np.float32)
+    if region == "mouth":
+        return mouth_region(height, width, model.faceframe)
+    y, x = np.mgrid[:height, :width].astype(np.float64)
+    down, limit = y / height, EYES_DOWN_TO[0]
+    if model.faceframe is not None:
+        right, left, lip = model.faceframe.points
+        eyes = (right + left) / 2
+        axis = lip - eyes
+        down = ((x - eyes[0]) * axis[0] + (y - eyes[1]) * axis[1]) / (axis @ axis)
+        limit = EYES_DOWN_TO[1]
+    above = np.clip((limit - down) / 0.05 + 0.5, 0, 1)  # a soft edge, as the ellipse has
+    eyes_only: Mask = (rigid_region(height, width, model.faceframe) * above).astype(np.float32)
+    return eyes_only
+
+
+def opened(role: str, given: str, model: MorphModel, notes: list[str]) -> Motion:
+    """Open a clip or read a table (.csv); a clip's loadings are still to be found by `measured`. Raises `BadInput`."""
+    if Path(given).suffix.lower() == ".csv":
+        source = _table(Path(given), model, notes)
+    else:
+        clip = framed_for(model, (given,), None)
+        inputs = dict(zip(clip.names, clip.file_digests, strict=True))
+        rate_hz = clip.clip.sidecar.frame_rate_hz
+        unknown = np.zeros((len(clip.names), model.rank))
+        places = np.arange(len(clip.names))
+        source = Motion(clip.clip.name, clip.names, unknown, rate_hz, clip, model.rank, places, inputs)
+    if len(source.frame_names) < LEAST_FRAMES:
+        raise BadInput(
+            f"the {role} {given} has {len(source.frame_names)} frame(s), at least {LEAST_FRAMES} are needed to compare "
+            "motions: give more frames"
+        )
+    return source
+
+
+def _table(path: Path, model: MorphModel, notes: list[str]) -> Motion:
+    table = read_loadings_table(path)
+    columns = table.loadings_sd.shape[1]
+    if columns > model.rank:
+        raise BadInput(
+            f"{path} has {columns} components, {model.identity} has {model.rank}: encode with this model"
+        )
+    document = table.document or {}
+    if table.document is None:
+        notes.append(f"{path} has no sidecar: whether it belongs to this model cannot be checked")
+    elif document.get("model_id") != model.model_id:
+        raise ReferenceMismatch(
+            f"{path} belongs to model {document.get('model_id')}, --model is {model.model_id} ({model.identity}): "
+            "give its clip instead, encode it with this model, or measure in the other model's space"
+        )
+    rate = document.get("frame_rate_hz")
+    rate_hz = float(rate) if isinstance(rate, int | float) and rate > 0 else None
+    loadings = np.zeros((len(table.frame_names), model.rank))
+    loadings[:, :columns] = table.loadings_sd
+    check_reach(table.loadings_sd, table.frame_names, path)
+    inputs = {path.name: digest_of_file(path)}
+    places = np.arange(len(loadings))
+    return Motion(path.stem, table.frame_names, loadings, rate_hz, None, columns, places, inputs)
+
+
+def measured(source: Motion, model: MorphModel, part: MaskedBasis | None) -> Steps[Motion]:
+    """Give the sequence with its loadings, of the whole face or of the part.
+
+    A part is projected and not fitted to the picture besides: on few pixels of another face, a fit follows the skin.
+    """
+    if source.clip is None:
+        if part is None:
+            return source
+        return replace(source, loadings_sd=part.seen(source.loadings_sd * model.sd) / model.sd)
+    rows: list[AnyArray] = []
+    names = source.frame_names
+    if part is None:
+        for encoded in encoded_frames(model, source.clip):
+            rows.append(encoded.loadings.values[0])
+            yield Step(f"encode {source.name}", len(rows), len(names))
+    else:
+        for loadings in _projected(source.clip, model, part):
+            rows.append(loadings)
+            yield Step(f"encode {source.name}", len(rows), len(names))
+    return replace(source, loadings_sd=np.stack(rows) / model.sd)
+
+
+def _projected(clip: FramedClip, model: MorphModel, part: MaskedBasis) -> Iterator[AnyArray]:
+    flow = model.flow_from_reference  # prepared once, and not by each thread
+
+    def project(item: tuple[str, Image]) -> AnyArray:
+        name, image = item
+        offset = model.morph_of(model.align(image, name).image, flow) - model.mean
+        return part.project(vector_of(offset.texture, offset.displacement))
+
+    indices = list(range(len(clip.names)))
+    yield from in_order(project, zip(clip.names, clip.images(indices), strict=True))
+
+
+def at_rate_of(stimulus: Motion, imitation: Motion, notes: list[str]) -> Motion:
+    """Bring the imitation to the stimulus' frame rate where both are known, and say what was done about time."""
+    if stimulus.rate_hz and imitation.rate_hz and stimulus.rate_hz != imitation.rate_hz:
+        rate_hz = stimulus.rate_hz
+        loadings = resampled(imitation.loadings_sd, imitation.rate_hz, rate_hz)
+        places = np.round(np.arange(len(loadings)) / rate_hz * imitation.rate_hz).astype(np.intp)
+        places = np.minimum(places, len(imitation.places) - 1)
+        notes.append(
+            f"the stimulus runs at {rate_hz:g} Hz, the imitation at {imitation.rate_hz:g} Hz: the imitation was "
+            f"brought to {rate_hz:g} Hz, linear between frames, {len(imitation.places)} frames becoming {len(loadings)}"
+        )
+        if len(loadings) < LEAST_FRAMES:
+            raise BadInput(
+                f"the imitation has {len(loadings)} frame(s) at the stimulus' {rate_hz:g} Hz, at least {LEAST_FRAMES} "
+                "are needed: give a longer imitation"
+            )
+        names = tuple(f"{imitation.name}_{index:06d}" for index in range(len(loadings)))
+        imitation = replace(
+            imitation, frame_names=names, loadings_sd=loadings, rate_hz=rate_hz, places=places
+        )
+    elif (stimulus.rate_hz is None) != (imitation.rate_hz is None):
+        told = "stimulus" if stimulus.rate_hz else "imitation"
+        notes.append(
+            f"only the {told} tells its frame rate, {stimulus.rate_hz or imitation.rate_hz:g} Hz: the other is taken "
+            "to have the same; write frame_rate_hz into its clip.json if not"
+        )
+    n, m = len(stimulus.loadings_sd), len(imitation.loadings_sd)
+    if n != m:
+        notes.append(
+            f"the stimulus has {n} frames, the imitation {m}: correlation, distance, gain, information and entropy are "
+            f"of the first {min(n, m)} of each; lag and alignment use all"
+        )
+    return imitation

@@ -1,0 +1,357 @@
+"""measure-mimicry from files to files: what it finds in clips and tables, what it says, and what it refuses."""
+
+import dataclasses
+import json
+import re
+import xml.etree.ElementTree as ElementTree
+from pathlib import Path
+
+import click
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+from scipy import ndimage
+
+from morphspace import cli_measure
+from morphspace.errors import BadInput, ReferenceMismatch, UnreadableFile
+from morphspace.files.images import write_image
+from morphspace.files.tables import read_loadings_table, read_metrics_table, write_loadings_table
+from morphspace.files.video import video_info
+from morphspace.progress import result_of
+from morphspace.report.plots import SMALL_SIZE, Plot
+from morphspace.report.traces import trace_plot
+from morphspace.verbs import measure_mimicry
+from morphspace.verbs.measure_mimicry import MeasureMimicryRequest
+from morphspace.verbs.motions import region_mask
+
+FRAMES = 24
+
+
+def motion(frames=FRAMES, seed=0):
+    noise = np.random.default_rng(seed).standard_normal((frames, 3))
+    smooth = ndimage.gaussian_filter1d(noise, 1.5, axis=0)
+    return smooth / smooth.std(axis=0)
+
+
+@pytest.fixture
+def work(model, tmp_path):
+    """A saved model and a folder for tables and clips of it."""
+    model.save(tmp_path / "drawn.morph")
+    return tmp_path
+
+
+def table(folder, name, loadings, model, rate_hz=None, **more):
+    document = {"model_id": model.model_id, "identity": model.identity, **more}
+    if rate_hz:
+        document["frame_rate_hz"] = rate_hz
+    names = [f"{name}_{index:03d}" for index in range(len(loadings))]
+    write_loadings_table(folder / f"{name}.csv", loadings, names, document)
+    return str(folder / f"{name}.csv")
+
+
+def clip(folder, name, loadings, model, rate_hz=None):
+    place = folder / name
+    place.mkdir()
+    for index, row in enumerate(loadings * model.sd):
+        write_image(place / f"{name}_{index:03d}.png", model.render(row), bits=16)
+    if rate_hz:
+        (place / "clip.json").write_text(json.dumps({"frame_rate_hz": rate_hz}))
+    return str(place)
+
+
+def measured(work, stimulus, imitation, **more):
+    request = MeasureMimicryRequest(stimulus, imitation, work / "drawn.morph", work / "out", **more)
+    return result_of(measure_mimicry.run(request))
+
+
+def rows(work):
+    return read_metrics_table(work / "out" / "measures.csv")
+
+
+def test_a_table_against_itself_is_perfect(work, model):
+    given = table(work, "a", motion(), model)
+    outcome = measured(work, given, given)
+    found = rows(work)
+    assert found["name"] == ["pc001", "pc002", "pc003", "all"]
+    assert_allclose(found["correlation"], 1)
+    assert found["distance_sd"] == [0, 0, 0, 0] and found["lag_frames"] == [0, 0, 0, 0]
+    assert found["correlation_p"][-1] == 1 / FRAMES
+    assert outcome.warnings == ()
+    assert outcome.document["correlation"] == pytest.approx(1)
+    back = read_loadings_table(work / "out" / "stimulus.csv")
+    assert np.array_equal(back.loadings_sd, read_loadings_table(given).loadings_sd)
+    assert back.document["model_id"] == model.model_id
+
+
+def test_clips_are_measured_as_their_loadings_are(work, model):
+    delay = 3
+    whole = motion(FRAMES + delay)
+    stimulus = clip(work, "stimulus", whole[delay:], model, 20)
+    imitation = clip(work, "imitation", whole[:FRAMES], model, 20)
+    outcome = measured(work, stimulus, imitation)
+    found = rows(work)
+    assert found["lag_frames"][-1] == delay and found["lag_s"][-1] == pytest.approx(delay / 20)
+    assert found["correlation_at_lag"][-1] > 0.98
+    truth = read_loadings_table(work / "out" / "stimulus.csv").loadings_sd
+    assert np.corrcoef(truth[:, 0], whole[delay:, 0])[0, 1] > 0.98
+    info = video_info(work / "out" / "side-by-side.mp4")
+    assert info.frame_count == FRAMES and info.frame_rate_hz == 20
+    assert info.size == (4 * 60 + 3 * 4, 72)  # both clips and both drawings, with gaps
+    assert outcome.document["stimulus_frames"] == FRAMES
+
+
+def test_every_column_is_described_beside_the_table_and_every_file_recorded(work, model):
+    outcome = measured(work, table(work, "a", motion(), model), table(work, "b", motion(seed=1), model))
+    described = json.loads((work / "out" / "measures.json").read_text())
+    assert set(rows(work)) == set(described["columns"])
+    assert all(entry["meaning"] for entry in described["columns"].values())
+    assert described["shifts"] == FRAMES - 1 and described["shifts_are_all_there_are"] is True
+    record = json.loads((work / "out" / "record.json").read_text())
+    names = {path.name for path in outcome.written} - {"record.json"}
+    assert (
+        set(record["outputs"]) == names == {path.name for path in (work / "out").iterdir()} - {"record.json"}
+    )
+    assert set(record["inputs"]) == {"model", "stimulus/a.csv", "imitation/b.csv"}
+
+
+def test_the_same_request_gives_the_same_bytes(work, model):
+    given = table(work, "a", motion(), model), table(work, "b", motion(seed=1), model)
+    contents = []
+    for _ in range(2):
+        measured(work, *given, permutations=10)
+        contents.append({path.name: path.read_bytes() for path in (work / "out").iterdir()})
+    assert contents[0] == contents[1]
+
+
+def test_different_lengths_are_said(work, model):
+    outcome = measured(work, table(work, "a", motion(), model), table(work, "b", motion(30), model))
+    assert any("24 frames, the imitation 30" in note and "first 24" in note for note in outcome.warnings)
+    assert outcome.document["paired_frames"] == 24
+
+
+def test_an_imitation_at_another_rate_is_brought_to_the_rate_of_the_stimulus(work, model):
+    time = np.arange(40) / 20
+    wave = np.column_stack([np.sin(3 * time), np.cos(2 * time), np.sin(5 * time)])
+    fast = np.arange(79) / 40
+    faster = np.column_stack([np.sin(3 * fast), np.cos(2 * fast), np.sin(5 * fast)])
+    outcome = measured(
+        work, table(work, "a", wave, model, rate_hz=20), table(work, "b", faster, model, rate_hz=40)
+    )
+    assert any("20 Hz, the imitation at 40 Hz" in note for note in outcome.warnings)
+    assert outcome.document["imitation_frames"] == 40
+    assert_allclose(rows(work)["correlation"], 1, atol=1e-9)
+    assert rows(work)["lag_frames"][-1] == 0
+
+
+def test_one_known_rate_is_said_to_be_taken_for_both(work, model):
+    outcome = measured(
+        work, table(work, "a", motion(), model, rate_hz=25), table(work, "b", motion(seed=1), model)
+    )
+    assert any("only the stimulus tells its frame rate, 25 Hz" in note for note in outcome.warnings)
+
+
+def test_few_shifts_are_said_to_be_no_test(work, model):
+    outcome = measured(work, table(work, "a", motion(9), model), table(work, "b", motion(9, 1), model))
+    assert any("no p can be below 0.11" in note for note in outcome.warnings)
+
+
+def test_a_lag_at_the_end_of_the_search_is_said(work, model):
+    ramp = np.linspace(-1, 1, 20)
+    late = np.column_stack([np.exp(-(((ramp - at) / 0.5) ** 2)) for at in (-0.5, -0.5, -0.5)])
+    later = np.column_stack([np.exp(-(((ramp - at) / 0.5) ** 2)) for at in (0.9, 0.9, 0.9)])
+    outcome = measured(
+        work,
+        table(work, "a", late, model),
+        table(work, "b", later, model),
+    )
+    assert any("10 frames, is the farthest that was tried" in note for note in outcome.warnings)
+
+
+def test_a_still_imitation_has_empty_cells_and_a_reason(work, model):
+    outcome = measured(
+        work, table(work, "a", motion(), model), table(work, "b", np.full((FRAMES, 3), 0.3), model)
+    )
+    found = rows(work)
+    assert found["undefined"] == ["the imitation does not move"] * 4
+    for name in ("correlation", "correlation_p", "lag_frames", "alignment_cost", "alignment_steps"):
+        assert found[name] == [""] * 4, name
+    lines = (work / "out" / "measures.csv").read_text().splitlines()
+    assert "nan" not in "".join(lines).lower()
+    assert outcome.document["correlation"] is None
+    assert "undefined" in outcome.lines[1]
+
+
+def test_another_face_is_measured_about_its_own_mean_and_said(work, model):
+    stimulus = motion()
+    outcome = measured(
+        work, table(work, "a", stimulus, model), table(work, "b", stimulus + np.array([5, 0, 0]), model)
+    )
+    assert any("5.0 SD from the stimulus on average (pc001)" in note for note in outcome.warnings)
+    found = rows(work)
+    assert_allclose(found["correlation"], 1)
+    assert_allclose(found["distance_centred_sd"], 0, atol=1e-12)
+    assert found["distance_sd"][0] == pytest.approx(5)
+
+
+def test_components_are_the_first_so_many(work, model):
+    given = table(work, "a", motion(), model), table(work, "b", motion(seed=1), model)
+    measured(work, *given)
+    every = rows(work)
+    measured(work, *given, components=2)
+    some = rows(work)
+    assert some["name"] == ["pc001", "pc002", "all"]
+    assert some["correlation"][:2] == every["correlation"][:2]
+
+
+def test_a_part_of_the_face_hides_what_happens_elsewhere(work, model):
+    """The drawn face opens its mouth below row 50: eyes alone can tell little of it, the mouth nearly all."""
+    given = table(work, "a", motion(), model), table(work, "b", motion(seed=1), model)
+    shares = {}
+    for region in ("eyes", "mouth"):
+        measured(work, *given, region=region)
+        shares[region] = np.array(rows(work)["visible_share"][:3])
+        assert json.loads((work / "out" / "measures.json").read_text())["region"] == region
+    assert (shares["eyes"] < 1).all() and (shares["mouth"] < 1).all()
+    mask = region_mask(model, "mouth")
+    truth = [
+        (component * model.basis.weight * spread(mask)) @ component for component in model.basis.components
+    ]
+    assert_allclose(shares["mouth"], truth, atol=1e-4)
+
+
+def spread(mask):
+    return np.concatenate([np.repeat(mask.reshape(-1), 3), np.repeat(mask.reshape(-1), 2)])
+
+
+def test_a_clip_and_the_table_of_it_say_the_same_of_a_part(work, model):
+    loadings = 0.7 * motion(8)
+    measured(work, clip(work, "clip", loadings, model), table(work, "b", loadings, model), region="mouth")
+    found = rows(work)
+    assert (
+        found["correlation"][-1] > 0.85
+    )  # the stock flow errs on a face 60 px wide, and nothing is fitted after it
+
+
+def test_a_white_mask_is_the_whole_face(work, model):
+    write_image(work / "white.png", np.ones((72, 60, 3), np.float32))
+    given = table(work, "a", motion(), model), table(work, "b", motion(seed=1), model)
+    measured(work, *given)
+    whole = rows(work)
+    measured(work, *given, mask=work / "white.png")
+    assert_allclose(rows(work)["correlation"], whole["correlation"], atol=0.01)  # the prior shrinks by 1e-3
+    assert_allclose(rows(work)["visible_share"][:3], 1, atol=1e-4)
+
+
+def test_regions_lie_where_their_names_say(model):
+    eyes, mouth = region_mask(model, "eyes"), region_mask(model, "mouth")
+    y = np.arange(72)[:, None]
+    assert (eyes * y).sum() / eyes.sum() < 0.5 * 72 < (mouth * y).sum() / mouth.sum()
+    assert (eyes * mouth).max() == 0
+    assert eyes.max() == 1 and mouth.max() == 1
+
+
+def test_the_page_is_complete_and_harmless(work, model):
+    stimulus = table(work, "<b>a", motion(), model)
+    measured(work, stimulus, table(work, "b", motion(seed=1), model))
+    page = (work / "out" / "index.html").read_text()
+    assert "<b>a" not in page and "&lt;b&gt;a" in page
+    assert "nan" not in re.sub(r"base64,[^\"]*", "", page).lower()
+    assert page.count("<svg") == 3 + 2  # a trace a component, the lag, the alignment
+    assert 'src="side-by-side.mp4"' in page
+    for svg in re.findall(r"<svg.*?</svg>", page, re.S):
+        ElementTree.fromstring(svg)
+
+
+def test_a_trace_stands_at_its_value():
+    plot = Plot("values", "frame", "SD", 1.0, SMALL_SIZE)
+    drawn = ElementTree.fromstring(re.search(r"<svg.*</svg>", trace_plot(plot, [0, 2], [2, 0, 1]), re.S)[0])
+    lines = {path.get("class"): numbers(path.get("d")) for path in drawn.iter("path")}
+    assert lines["stimulus"][0, 1] == pytest.approx(lines["zero"][0, 1])
+    assert lines["stimulus"][1, 1] == pytest.approx(lines["imitation"][0, 1])
+    assert lines["imitation"][2, 1] == pytest.approx(lines["stimulus"][:, 1].mean(), abs=0.01)
+    assert lines["stimulus"][1, 0] == pytest.approx(lines["imitation"][1, 0])
+
+
+def numbers(path):
+    return np.array([list(map(float, point.split())) for point in path[1:].split("L")])
+
+
+def test_a_table_of_another_model_is_refused_and_says_what_to_do(work, model):
+    given = table(work, "a", motion(), model)
+    other = table(work, "b", motion(), model, model_id="other")
+    document = json.loads((work / "b.json").read_text())
+    (work / "b.json").write_text(json.dumps({**document, "model_id": "0123"}))
+    with pytest.raises(ReferenceMismatch, match=r"b\.csv belongs to model 0123.*give its clip instead"):
+        measured(work, given, other)
+    assert not (work / "out").exists()
+
+
+def bad(work, model, what):
+    good = table(work, "a", motion(), model)
+    one_frame = table(work, "one", motion()[:1], model)
+    (work / "empty").mkdir()
+    write_image(work / "small.png", np.ones((10, 12, 3), np.float32))
+    (work / "nan.csv").write_text("frame,pc001_sd\nf1,0.5\nf2,nan\nf3,1\n")
+    narrow = table(work, "narrow", motion()[:, :2], model)
+    return {
+        "one frame": ((good, one_frame), {}, r"imitation .*one\.csv has 1 frame\(s\), at least 3"),
+        "empty folder": ((good, str(work / "empty")), {}, "holds no images"),
+        "no such file": ((str(work / "no.csv"), good), {}, r"cannot read .*no\.csv"),
+        "no such clip": ((good, str(work / "gone")), {}, "gone does not exist"),
+        "too many components": ((good, good), {"components": 9}, "cannot measure 9 components, drawn has 3"),
+        "no components": ((good, good), {"components": 0}, "cannot measure 0 components"),
+        "too few columns": ((good, narrow), {"components": 3}, "a table has 2"),
+        "mask of another size": ((good, good), {"mask": work / "small.png"}, "small.png is 12x10, .* 60x72"),
+        "mask and region": ((good, good), {"mask": work / "small.png", "region": "eyes"}, "choose one"),
+        "nan": ((good, str(work / "nan.csv")), {}, "row 3, column pc001_sd is 'nan'"),
+        "no mask": ((good, good), {"mask": work / "none.png"}, r"none\.png"),
+    }[what]
+
+
+@pytest.mark.parametrize(
+    "what",
+    [
+        "one frame",
+        "empty folder",
+        "no such file",
+        "no such clip",
+        "too many components",
+        "no components",
+        "too few columns",
+        "mask of another size",
+        "mask and region",
+        "nan",
+        "no mask",
+    ],
+)
+def test_bad_input_is_named_and_nothing_is_written(work, model, what):
+    given, more, words = bad(work, model, what)
+    with pytest.raises((BadInput, UnreadableFile), match=words):
+        measured(work, *given, **more)
+    assert not (work / "out").exists()
+
+
+def test_an_input_is_never_written_over(work, model):
+    (work / "out").mkdir()
+    given = table(work / "out", "imitation", motion(), model)
+    before = Path(given).read_bytes()
+    with pytest.raises(BadInput, match="one of the inputs and would be lost"):
+        measured(work, given, given)
+    assert Path(given).read_bytes() == before
+
+
+def test_the_words_of_the_command_line_are_those_of_the_request():
+    @cli_measure.measure_mimicry_options
+    def words(**options):
+        pass
+
+    command = click.command()(words)
+    fields = {field.name: field.default for field in dataclasses.fields(MeasureMimicryRequest)}
+    assert {parameter.name for parameter in command.params} == set(fields)
+    given = command.make_context("measure-mimicry", ["a", "b", "--model", "m"]).params
+    assert {name: given[name] for name in fields if name not in ("stimulus", "imitation", "model")} == {
+        name: default for name, default in fields.items() if name not in ("stimulus", "imitation", "model")
+    }
+    for parameter in command.params:
+        if isinstance(parameter, click.Option):
+            assert parameter.help

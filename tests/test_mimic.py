@@ -1,0 +1,165 @@
+"""Laws of mimicry: a face drives itself unchanged, offsets turn with the affine, and no loading runs away."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose, assert_array_equal
+
+from morphspace import warp
+from morphspace.errors import BadInput
+from morphspace.faces import FaceFrame
+from morphspace.mimic import (
+    GAIN_RANGE,
+    METHODS,
+    Passage,
+    Solver,
+    auto_gain,
+    bounded,
+    mimic,
+    offset_of,
+)
+from morphspace.model import MorphModel
+from morphspace.morph import MorphOffset, vector_of
+
+FRAME = FaceFrame((20.0, 30.0), (41.0, 29.0), (30.0, 44.0))
+
+
+@pytest.fixture
+def person(model):
+    return model.with_faceframe(FRAME)
+
+
+def turned(model, degrees, scale=1.0):
+    """The model with its faceframe turned and scaled about the eyes: as if its face stood so in the picture."""
+    angle = np.radians(degrees)
+    linear = scale * np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
+    points = (FRAME.points - FRAME.points.mean(0)) @ linear.T + FRAME.points.mean(0)
+    return model.with_faceframe(FRAME.moved(points)), linear
+
+
+def faces(model):
+    return model.training.values
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_a_face_drives_itself_unchanged(person, method):
+    to_target = mimic(person, person, method, max_sd=1e3)
+    for loadings in faces(person):
+        made = to_target(offset_of(person, loadings))
+        assert_allclose(made.loadings, loadings, atol=0.02 * np.abs(faces(person)).max())
+        apart = np.abs(made.morph.render() - person.render(loadings))
+        assert np.quantile(apart, 0.99) < 0.02  # this face folds at the lips, and `transfer` draws no folds
+        assert made.quality.bounded == 0
+        assert made.quality.warp_kept > 0.99 and made.quality.texture_kept > 0.99
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_no_difference_and_no_gain_are_the_mean_face(person, method):
+    rest = mimic(person, person, method)(offset_of(person, np.zeros(person.rank)))
+    still = mimic(person, person, method, gain=0.0)(offset_of(person, faces(person)[3]))
+    for made in (rest, still):
+        assert_allclose(made.loadings, 0, atol=1e-6)
+        assert_allclose(made.morph.render(), person.render(np.zeros(person.rank)), atol=1e-5)
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_gain_scales_the_loadings(person, method):
+    offset = offset_of(person, faces(person)[2])
+    one, half = (mimic(person, person, method, gain=gain, max_sd=1e3)(offset).loadings for gain in (1.0, 0.5))
+    assert_allclose(half, 0.5 * one, rtol=1e-6)
+
+
+def test_equal_models_may_change_places(person):
+    other = replace(person, provenance={**person.provenance, "identity": "twin"})
+    offset = offset_of(person, faces(person)[1])
+    there, back = mimic(person, other, "map")(offset), mimic(other, person, "map")(offset)
+    assert_array_equal(there.loadings, back.loadings)
+
+
+def test_the_paper_takes_inner_products(person):
+    target, _ = turned(person, 0.0)
+    offset = offset_of(person, faces(person)[4])
+    vector = vector_of(offset.texture, offset.displacement)
+    expected = (person.basis.weight * vector) @ np.asarray(person.basis.components, np.float64).T
+    assert_allclose(
+        mimic(person, target, "paper", max_sd=1e3)(offset).loadings, expected, rtol=1e-4, atol=1e-5
+    )
+
+
+@pytest.mark.parametrize(("degrees", "scale"), [(0.0, 1.0), (20.0, 1.0), (0.0, 1.2), (-15.0, 0.8)])
+def test_displacements_turn_and_scale_with_the_face(person, wavy_field, degrees, scale):
+    """A point of the source and its fellow on the target move alike: u_B(G p) = L u_A(p) (methods 5, step 2)."""
+    target, linear = turned(person, degrees, scale)
+    height, width = person.mask.shape
+    field = wavy_field(height, width, 3.0, seed=4, sd_px=10.0)
+    texture = np.zeros((height, width, 3), np.float32)
+    passage = Passage(person, target)
+    carried = passage.carried(MorphOffset(field, texture, person.mean.reference_id))
+    points = np.stack(np.meshgrid(np.arange(22, 38), np.arange(28, 44)), -1).reshape(-1, 2).astype(float)
+    there = warp.apply_affine(passage.affine, points)
+    found = warp.move_points(carried.displacement, there) - there
+    expected = field[points[:, 1].astype(int), points[:, 0].astype(int)] @ linear.T
+    assert_allclose(found, expected, atol=0.02 * 3.0)
+
+
+def test_beyond_the_source_nothing_is_known_to_differ(person):
+    target, _ = turned(person, 0.0, 0.5)
+    height, width = person.mask.shape
+    ones = MorphOffset(np.ones((height, width, 2), np.float32), np.ones((height, width, 3), np.float32), "r")
+    passage = Passage(person, target)
+    carried = passage.carried(ones)
+    assert carried.texture[0, 0].max() == 0 and carried.displacement[-1, -1].max() == 0
+    assert passage.seen[0, 0] == 0 and passage.seen.max() > 0.9
+    assert carried.reference_id == target.mean.reference_id
+
+
+def test_the_posterior_is_the_dense_formula(person):
+    rng = np.random.default_rng(0)
+    weight = (rng.random(person.basis.weight.size) * (rng.random(person.basis.weight.size) < 0.5)).astype(
+        np.float32
+    )
+    offset = rng.standard_normal(weight.size).astype(np.float32)
+    components = np.asarray(person.basis.components, np.float64)
+    prior = np.diag(0.3 / person.basis.variances)
+    expected = np.linalg.solve((components * weight) @ components.T + prior, components @ (weight * offset))
+    assert_allclose(Solver(person, weight, 0.3).loadings(offset), expected, rtol=1e-4, atol=1e-6)
+
+
+def test_the_bound_keeps_order_and_small_loadings():
+    values = np.linspace(-40, 40, 401)
+    drawn = bounded(values, 3.0)
+    assert np.abs(drawn).max() < 3.0
+    assert (np.diff(drawn) > 0).all()
+    assert_allclose(drawn, -drawn[::-1])
+    small = np.abs(values) <= 1
+    assert_allclose(drawn[small], values[small], rtol=0.004)
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_no_component_goes_beyond_the_bound_and_it_is_told(person, method):
+    wild = offset_of(person, 30 * person.sd)
+    made = mimic(person, person, method, max_sd=2.0)(wild)
+    assert np.abs(made.loadings / person.sd).max() <= 2.0
+    assert made.quality.bounded == person.rank
+    assert made.quality.largest_sd > 20
+    assert made.quality.folds == 0 or method != "transfer"
+
+
+def test_the_automatic_gain_undoes_a_muted_target(person):
+    muted = person.truncate(1)
+    assert GAIN_RANGE[0] <= auto_gain(person, person, "paper") < 1.01
+    assert auto_gain(person, muted, "paper") > 1.01
+
+
+def test_what_cannot_be_driven_is_refused(model, person):
+    with pytest.raises(BadInput, match="morphspace keypoints"):
+        mimic(model, person)
+    with pytest.raises(BadInput, match="choose one of paper, map, transfer"):
+        mimic(person, person, "magic")
+    for bad in ({"max_sd": 0.0}, {"max_sd": np.nan}, {"gain": np.inf}):
+        with pytest.raises(BadInput, match="cannot be used"):
+            mimic(person, person, **bad)
+    empty: MorphModel = person.truncate(0)
+    with pytest.raises(BadInput, match="no component"):
+        mimic(person, empty)

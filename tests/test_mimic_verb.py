@@ -1,0 +1,475 @@
+"""mimic from files to files: what it writes, what it says, and what it refuses."""
+
+import dataclasses
+import gc
+import inspect
+import json
+import shutil
+import weakref
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+from numpy.testing import assert_allclose
+
+from morphspace import cli_mimic
+from morphspace.basis import fit_basis
+from morphspace.cli import main
+from morphspace.errors import BadInput, UnreadableFile, UnwritableFile
+from morphspace.facepoints import (
+    LEFT_LIDS,
+    LOWER_LIP_TOP,
+    POINT_COUNT,
+    RIGHT_LIDS,
+    UPPER_LIP_BOTTOM,
+    FacePoints,
+)
+from morphspace.faces import FaceFrame, face_mask
+from morphspace.files.images import read_image, write_image
+from morphspace.files.tables import read_loadings_table, read_metrics_table
+from morphspace.files.video import video_info, write_video
+from morphspace.mimic import METHODS, Quality, mimic
+from morphspace.model import Loadings, MorphModel, inner_product, model_digest
+from morphspace.morph import Morph, parts_of, vector_of
+from morphspace.progress import WORKERS, result_of
+from morphspace.report.mimic_page import HEADINGS
+from morphspace.rows import RowArray
+from morphspace.verbs import mimic as verb
+from morphspace.verbs import mimic_frames, mimic_sources
+from morphspace.verbs.mimic import MimicRequest
+from morphspace.verbs.mimic_frames import FinishedFrames, frame_steps
+from morphspace.verbs.mimic_sources import Driver
+from morphspace.verbs.mimic_table import COLUMNS, FaceSeen, FrameMade, made_of
+
+ROUNDING = 0.51 / 255  # of an 8-bit file
+LOOSE = 1000.0  # SD; a bound that bounds nothing here
+
+
+@pytest.fixture(autouse=True)
+def without_networks(monkeypatch, tmp_path):
+    monkeypatch.setenv("MORPHSPACE_MODELS", str(tmp_path / "none"))
+
+
+@pytest.fixture(scope="session")
+def actor(model):
+    """The drawn model with keypoints."""
+    return model.with_faceframe(FaceFrame((20.0, 28.0), (40.0, 28.0), (30.0, 44.0)))
+
+
+@pytest.fixture(scope="session")
+def other(picture, wavy_field):
+    """Another face of another size, which moves otherwise."""
+    height, width = 60, 48
+    rng = np.random.default_rng(3)
+    amounts = rng.standard_normal((10, 2))
+    amounts -= amounts.mean(axis=0)
+    face = picture(height, width, seed=11)
+    fields = [wavy_field(height, width, 1.5, seed=seed) for seed in (4, 5)]
+    rows = [vector_of(face, (a * fields[0] + b * fields[1]).astype(np.float32)) for a, b in amounts]
+    mask = face_mask(height, width)
+    mean, basis, loadings = fit_basis(RowArray(np.stack(rows)), inner_product(mask, 0.1), 5)
+    texture, displacement = parts_of(mean, height, width)
+    mean_morph = Morph(displacement, texture, "aa00112233445566")
+    provenance = {
+        "identity": "other",
+        "framing": {"source_size": [width, height], "crop": None, "size": [width, height]},
+        "reference": {"frame": "f0", "reason": "it was asked for", "sha256": "0" * 64},
+        "versions": {},
+    }
+    names = tuple(f"o_{index:02d}" for index in range(len(rows)))
+    model_id = model_digest(basis, mean_morph, provenance)
+    return MorphModel(
+        mean=mean_morph,
+        basis=basis,
+        warp_weight=0.1,
+        mask=mask,
+        reference=mean_morph.render(),
+        mean_inverse=np.zeros((height, width, 2), np.float32),
+        faceframe=FaceFrame((16.0, 22.0), (32.0, 22.0), (24.0, 36.0)),
+        reference_faceframe=None,
+        training=Loadings(loadings, names, model_id),
+        registration="none",
+        flow="dis",
+        provenance=provenance,
+    )
+
+
+@pytest.fixture
+def work(actor, other, tmp_path):
+    """A folder with two models."""
+    actor.save(tmp_path / "a.morph")
+    other.save(tmp_path / "b.morph")
+    return tmp_path
+
+
+def clip(folder, model, loadings, name="clip", rate_hz=None):
+    place = folder / name
+    place.mkdir()
+    for index, row in enumerate(loadings):
+        write_image(place / f"{name}_{index:03d}.png", model.render(row), bits=16)
+    if rate_hz:
+        (place / "clip.json").write_text(json.dumps({"frame_rate_hz": rate_hz}))
+    return str(place)
+
+
+def run(work, source="a", target="b", detector=None, **more):
+    more.setdefault("output", work / "out")
+    request = MimicRequest(str(work / f"{source}.morph"), str(work / f"{target}.morph"), **more)
+    return result_of(verb.run(request, detector))
+
+
+def points(yaw_deg=0.0, opening_px=2.0):
+    """Points of a face that is turned so far, as a detector gives them."""
+    rng = np.random.default_rng(0)
+    x = rng.uniform(10, 50, (POINT_COUNT, 2))
+    x[list(RIGHT_LIDS)], x[list(LEFT_LIDS)] = (21, 28), (39, 28)
+    x[[33, 133, 362, 263]] = (18, 28), (24, 28), (36, 28), (42, 28)
+    for right, left in ((127, 356), (234, 454), (162, 389)):
+        x[right], x[left] = (14, 34), (46, 34)
+    x[[98, 2, 327]] = (27, 42), (30, 42), (33, 42)
+    x[UPPER_LIP_BOTTOM], x[LOWER_LIP_TOP] = (30, 48), (30, 48 + opening_px)
+    depth = np.tan(np.radians(yaw_deg)) * (x[:, 0] - 30)
+    depth[[98, 2, 327]] -= np.tan(np.radians(23.5)) * 14
+    return FacePoints(x, 0.9, depth=depth)
+
+
+def test_mimic_of_self_is_reconstruction(work, actor):
+    run(work, target="a", method="paper", max_sd=LOOSE)
+    found = read_loadings_table(work / "out" / "loadings.csv")
+    assert found.frame_names == actor.training.frame_names
+    assert_allclose(found.loadings_sd, actor.training.values / actor.sd, atol=1e-4)
+    for name, row in zip(actor.training.frame_names, actor.training.values, strict=True):
+        drawn = np.clip(actor.render(row), 0, 1)
+        assert np.abs(read_image(work / "out" / "frames" / f"{name}.png") - drawn).max() < ROUNDING + 1e-3
+    assert found.document["model_id"] == actor.model_id
+
+
+def test_a_clip_drives_itself_back(work, actor):
+    loadings = 0.8 * actor.training.values[:4]
+    given = clip(work, actor, loadings, rate_hz=20)
+    run(work, target="a", frames=given, method="paper", max_sd=LOOSE)
+    found = read_loadings_table(work / "out" / "loadings.csv")
+    truth = loadings / actor.sd
+    assert np.corrcoef(found.loadings_sd[:, 0], truth[:, 0])[0, 1] > 0.95  # the flow is on 60 x 72 px
+    assert found.document["frame_rate_hz"] == 20
+    assert video_info(work / "out" / "side-by-side.mp4").frame_rate_hz == 20
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_gain_0_is_the_mean_of_the_target(work, other, method):
+    run(work, gain=0.0, method=method)
+    mean = np.clip(other.mean.render(), 0, 1)
+    for path in (work / "out" / "frames").iterdir():
+        assert np.abs(read_image(path) - mean).max() < ROUNDING
+    assert not read_loadings_table(work / "out" / "loadings.csv").loadings_sd.any()
+
+
+def test_every_output_is_there_with_its_name_and_size(work, actor, other):
+    outcome = run(work)
+    out = work / "out"
+    frames = sorted(path.name for path in (out / "frames").iterdir())
+    assert frames == [f"{name}.png" for name in actor.training.frame_names]
+    assert all(read_image(out / "frames" / name).shape == (60, 48, 3) for name in frames)
+    info = video_info(out / "side-by-side.mp4")
+    assert info.frame_count == len(frames)
+    assert info.size == (50 + 4 + 48, 60)  # 60 x 72 brought to the height of 60
+    record = json.loads((out / "record.json").read_text())
+    lying = {path.relative_to(out).as_posix() for path in out.rglob("*") if path.is_file()} - {"record.json"}
+    assert set(record["outputs"]) == lying
+    assert lying - {f"frames/{name}" for name in frames} == {
+        "index.html",
+        "loadings.csv",
+        "loadings.json",
+        "quality.csv",
+        "quality.json",
+        "side-by-side.mp4",
+    }
+    assert any("resampled" in note and "60x72" in note and "48x60" in note for note in outcome.warnings)
+    page = (out / "index.html").read_text()
+    assert page.count("data:image/jpeg") == len(frames) and "http" not in page.replace("http-equiv", "")
+
+
+def test_every_column_of_quality_is_described(work):
+    run(work)
+    table = read_metrics_table(work / "out" / "quality.csv")
+    told = json.loads((work / "out" / "quality.json").read_text())
+    assert list(table) == list(COLUMNS) and set(told["columns"]) == set(table)
+    fields = {entry.name for entry in dataclasses.fields(Quality)}
+    assert fields <= set(COLUMNS) and fields <= set(HEADINGS)
+
+
+def test_the_same_request_gives_the_same_bytes(work):
+    contents = []
+    for _ in range(2):
+        run(work)
+        contents.append({path: path.read_bytes() for path in (work / "out").rglob("*") if path.is_file()})
+    assert contents[0] == contents[1]
+
+
+def test_the_first_components_alone_move(work, other):
+    run(work, components=1, max_sd=LOOSE)
+    found = read_loadings_table(work / "out" / "loadings.csv")
+    assert found.loadings_sd.shape == (12, 1)
+    drawn = np.clip(other.render(found.loadings_sd[0] * other.sd[:1]), 0, 1)
+    assert np.abs(read_image(work / "out" / "frames" / "frame_000.png") - drawn).max() < ROUNDING
+
+
+def test_a_stopped_run_goes_on_and_gives_the_same_bytes(work, monkeypatch):
+    run(work, output=work / "whole")
+    steps = verb.run(MimicRequest(str(work / "a.morph"), str(work / "b.morph"), work / "out"))
+    for step in steps:
+        if step.stage == "mimic" and step.done == 5:
+            steps.close()
+    assert not (work / "out" / "quality.csv").exists() and not (work / "out" / "record.json").exists()
+    (work / "out" / "frames" / "frame_001.png").write_bytes(b"another picture")
+    written = []
+    monkeypatch.setattr(
+        mimic_frames,
+        "write_image",
+        lambda path, image: (written.append(path.name), write_image(path, image))[1],
+    )
+    run(work)
+    assert "frame_001.png" in written and "frame_000.png" not in written and len(written) <= 12 - 4
+    for path in (work / "whole").rglob("*"):
+        if path.is_file():
+            assert path.read_bytes() == (work / "out" / path.relative_to(work / "whole")).read_bytes(), path
+    assert not (work / "out" / "mimic.work").exists()
+
+
+def test_other_settings_do_not_take_over_finished_frames(work):
+    steps = verb.run(MimicRequest(str(work / "a.morph"), str(work / "b.morph"), work / "out"))
+    for step in steps:
+        if step.done == 5:
+            steps.close()
+    run(work, gain=0.5)
+    run(work, gain=0.5, output=work / "fresh")
+    for name in ("loadings.csv", "quality.csv", "frames/frame_000.png"):
+        assert (work / "out" / name).read_bytes() == (work / "fresh" / name).read_bytes()
+
+
+def test_a_long_clip_holds_a_few_frames_at_a_time(work, actor, other):
+    """Whatever the clip's length, no more pictures are alive than the threads and their queue hold."""
+    total, alive, most = 40, [0], [0]
+    shape = actor.mask.shape
+
+    def gone():
+        alive[0] -= 1
+
+    def given(places):
+        for _ in places:
+            image = np.full((*shape, 3), 0.5, np.float32)
+            alive[0] += 1
+            most[0] = max(most[0], alive[0])
+            weakref.finalize(image, gone)
+            yield image
+            del image
+
+    def offset(name, image):
+        return actor.mean - actor.mean
+
+    names = tuple(f"f{index}" for index in range(total))
+    driver = Driver("long", names, names, {}, None, given, offset, lambda image: image)
+    pictures = tuple(work / "frames" / f"{name}.png" for name in names)
+    finished = FinishedFrames(work / "work", [], driver, pictures)
+    made = result_of(frame_steps(actor, mimic(actor, other), finished, None))
+    gc.collect()
+    assert len(made) == total and alive[0] <= 1
+    result_of(mimic_frames.video_steps(driver, pictures, work / "v.mp4"))
+    assert most[0] <= 3 * (WORKERS + 2)
+
+
+def test_a_frame_without_a_face_and_a_turned_one_are_marked_and_the_clip_goes_on(work, actor):
+    given = clip(work, actor, 0.5 * actor.training.values[:4])
+    mean = np.clip(actor.mean.render(), 0, 1)
+    seen = [read_image(path) for path in sorted((work / "clip").glob("*.png"))]
+
+    def detector(image):
+        place = next((i for i, frame in enumerate(seen) if np.array_equal(frame, image)), None)
+        return {1: None, 2: points(yaw_deg=30)}.get(place, points())
+
+    assert detector(mean) is not None
+    outcome = run(work, frames=given, detector=detector)
+    table = read_metrics_table(work / "out" / "quality.csv")
+    flags = [set(words.split()) & {"no-face", "turned"} for words in table["flags"]]
+    assert flags == [set(), {"no-face"}, {"turned"}, set()]
+    assert_allclose(table["yaw_deg"], [0, np.nan, 30, 0], atol=2)
+    assert outcome.document["no_face"] == 1 and outcome.document["frames"] == 4
+    assert any("1 of 4 frames show no face" in note for note in outcome.warnings)
+
+
+def test_means_of_other_expressions_are_said(work, actor, other):
+    def detector(image):
+        return points(opening_px=6.0 if image.shape[0] == 72 else 1.0)
+
+    outcome = run(work, detector=detector)
+    assert any("the mouth of drawn is open by 33%" in note for note in outcome.warnings)
+
+
+def test_without_networks_what_was_left_out_is_said(work, actor):
+    assert any("morphspace models fetch" in note for note in run(work).warnings)
+    given = clip(work, actor, 0.5 * actor.training.values[:2])
+    assert any("shows a face" in note and "models fetch" in note for note in run(work, frames=given).warnings)
+
+
+def test_a_detector_that_does_not_know_the_source_is_not_believed(work, actor):
+    given = clip(work, actor, 0.5 * actor.training.values[:2])
+    outcome = run(work, frames=given, detector=lambda image: None)
+    assert outcome.document["no_face"] == 0
+    assert any("sees no face in the mean of drawn" in note for note in outcome.warnings)
+
+
+def test_little_motion_kept_is_said(work, actor):
+    assert not any(
+        "of the motion's energy" in note for note in run(work, target="a", method="paper").warnings
+    )
+    assert any("of the motion's energy" in note for note in run(work, components=1).warnings)
+    assert not any("of the motion's energy" in note for note in run(work, components=1, gain=0.0).warnings)
+
+
+def test_pictures_of_an_earlier_run_are_said(work, picture):
+    (work / "out" / "frames").mkdir(parents=True)
+    write_image(work / "out" / "frames" / "old.png", picture(8, 8))
+    assert any("holds 1 other pictures, such as old.png" in note for note in run(work).warnings)
+
+
+def test_an_out_of_range_frame_is_flagged_and_stays_inside_the_bound(work):
+    run(work, target="a", method="paper", gain=2.5)
+    table = read_metrics_table(work / "out" / "quality.csv")
+    asked = np.array(table["largest_sd"])
+    assert (asked > 4).any() and (asked < 4).any()
+    assert [("out-of-range" in words) for words in table["flags"]] == (asked > 4).tolist()
+    assert np.abs(read_loadings_table(work / "out" / "loadings.csv").loadings_sd).max() < 3
+
+
+def test_a_model_is_built_of_a_clip_and_found_again(work, actor, monkeypatch):
+    given = clip(work, actor, actor.training.values[:6])
+    faceframe = {"right_eye": [20, 28], "left_eye": [40, 28], "philtrum": [30, 44], "frame": "clip_000.png"}
+    (work / "clip" / "clip.json").write_text(json.dumps({"faceframe": faceframe}))
+    request = MimicRequest(given, str(work / "b.morph"), work / "out")
+    result_of(verb.run(request))
+    built = work / "out" / "models" / "clip.morph"
+    assert built.is_file() and not list(built.parent.glob("*.work"))
+
+    def never(request):
+        raise AssertionError("it was built again")
+        yield
+
+    monkeypatch.setattr(mimic_sources.build_model, "run", never)
+    result_of(verb.run(request))
+    shutil.rmtree(work / "out" / "models")
+    with pytest.raises(AssertionError, match="built again"):
+        result_of(verb.run(request))
+
+
+def test_a_clip_without_keypoints_needs_the_networks_and_says_so(work, actor):
+    given = clip(work, actor, actor.training.values[:3])
+    with pytest.raises(BadInput, match="morphspace models fetch"):
+        result_of(verb.run(MimicRequest(given, str(work / "b.morph"), work / "out")))
+    assert not (work / "out").exists()
+
+
+def test_a_model_without_keypoints_says_the_command(work, model):
+    model.save(work / "bare.morph")
+    for source, target in (("bare", "b"), ("a", "bare")):
+        with pytest.raises(BadInput, match=r"morphspace keypoints \S*bare\.morph --auto"):
+            run(work, source, target)
+    assert not (work / "out").exists()
+
+
+@pytest.mark.parametrize(
+    ("more", "words"),
+    [
+        ({"method": "magic"}, "no mimicry by 'magic': choose one of"),
+        ({"gain": float("nan")}, "a gain of nan"),
+        ({"gain": float("inf")}, "a gain of inf"),
+        ({"max_sd": 0.0}, "a bound of 0.0 SD"),
+        ({"max_sd": float("nan")}, "a bound of nan SD"),
+        ({"components": 3}, "cannot mimic with 3 components, other has 2: choose 1 to 2"),
+        ({"components": 0}, "0 components"),
+        ({"source": "missing"}, "missing.morph"),
+    ],
+)
+def test_what_cannot_be_meant_is_refused_before_anything_is_written(work, more, words):
+    with pytest.raises(BadInput) as refusal:
+        run(work, **more)
+    assert words in str(refusal.value) and "\n" not in str(refusal.value)
+    assert not (work / "out").exists()
+
+
+def test_an_empty_clip_is_refused(work):
+    (work / "empty").mkdir()
+    for given in ("empty", "nowhere"):
+        with pytest.raises(BadInput, match=given):
+            run(work, frames=str(work / given))
+
+
+def test_a_file_where_the_folder_should_be_is_refused(work):
+    (work / "out").write_text("mine")
+    with pytest.raises(UnwritableFile, match="cannot write into"):
+        run(work)
+    assert (work / "out").read_text() == "mine"
+
+
+def test_inputs_are_never_written_over(work, actor):
+    place = work / "out"
+    place.mkdir()
+    given = clip(place, actor, actor.training.values[:3], name="frames")
+    before = {path: path.read_bytes() for path in (place / "frames").iterdir()}
+    with pytest.raises(BadInput, match="one of the inputs"):
+        run(work, frames=given)
+    assert {path: path.read_bytes() for path in (place / "frames").iterdir()} == before
+    video = place / "side-by-side.mp4"
+    write_video(video, [read_image(path) for path in before if path.suffix == ".png"])
+    with pytest.raises(BadInput, match="one of the inputs"):
+        run(work, frames=str(video))
+
+
+def test_a_damaged_driving_frame_is_named_and_leaves_no_record(work, actor):
+    given = clip(work, actor, actor.training.values[:3])
+    bad = work / "clip" / "clip_002.png"
+    bad.write_bytes(bad.read_bytes()[:-300])
+    with pytest.raises(UnreadableFile, match=r"clip_002\.png"):
+        run(work, frames=given)
+    assert not (work / "out" / "record.json").exists()
+
+
+@pytest.mark.parametrize("face", [None, FaceSeen(False), FaceSeen(True, True, 31.5, -2 / 3)])
+def test_a_finished_frame_reads_back_bit_equal(face):
+    quality = Quality(*(1 / (3 + place) for place in range(len(dataclasses.fields(Quality)))))
+    document = FrameMade((0.1, -1 / 3), quality, face, 3, "ab").document()
+    assert made_of(json.loads(json.dumps(document))).document() == document
+
+
+def test_the_method_by_default_is_one_everywhere():
+    of_mimic = inspect.signature(mimic).parameters["method"].default
+    assert verb.DEFAULT_METHOD == cli_mimic.DEFAULT_METHOD == of_mimic
+    metavar = next(p.metavar for p in main.commands["mimic"].params if p.name == "method")
+    assert metavar.split("|") == list(METHODS)
+
+
+def test_the_command_line_exits_3_where_a_frame_shows_no_face(work, monkeypatch, actor):
+    given = clip(work, actor, 0.5 * actor.training.values[:2])
+    words = [
+        "mimic",
+        "--src",
+        work / "a.morph",
+        "--dst",
+        work / "b.morph",
+        "-o",
+        work / "out",
+        "--frames",
+        given,
+    ]
+    calls = []
+
+    def detector(image):  # finds a face in the two means, and in nothing else
+        calls.append(image)
+        return points() if len(calls) <= 2 else None
+
+    assert CliRunner().invoke(main, list(map(str, words))).exit_code == 0
+    monkeypatch.setattr(verb, "own_detector", lambda: detector)
+    result = CliRunner().invoke(main, list(map(str, words)))
+    assert result.exit_code == 3, result.output
+    assert "2 of 2 frames show no face" in result.stderr
+    refused = CliRunner().invoke(main, [*map(str, words), "--max-sd", "0"])
+    assert refused.exit_code == 2 and len(refused.stderr.strip().splitlines()) == 1
