@@ -110,10 +110,11 @@ def main() -> None:
 
 
 def _tidy_up_when_asked_to_stop() -> None:
-    """Let SIGTERM and SIGHUP end a verb as Ctrl-C does, so that no unfinished file is left."""
+    """Let SIGTERM and SIGHUP end a verb as Ctrl-C does, so that no unfinished file is left; under nohup neither does."""
     if threading.current_thread() is threading.main_thread():
         for number in (signal.SIGTERM, getattr(signal, "SIGHUP", signal.SIGTERM)):
-            signal.signal(number, signal.default_int_handler)
+            if signal.getsignal(number) == signal.SIG_DFL:
+                signal.signal(number, signal.default_int_handler)
 
 
 def verb(command: Callable[..., Steps[Outcome]]) -> Callable[..., None]:

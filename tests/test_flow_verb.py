@@ -719,7 +719,14 @@ def test_a_bench_names_the_scene_and_the_preset_that_fail(scenes, monkeypatch):
     refused(run("--bench", scenes, *FAST), "scene Half", "preset dis-medium")
 
 
-@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP, signal.SIGINT])
+@pytest.fixture(params=[signal.SIGTERM, signal.SIGHUP])
+def number(request):
+    """A signal that is neither ignored nor handled when the verb starts."""
+    before = signal.signal(request.param, signal.SIG_DFL)
+    yield request.param
+    signal.signal(request.param, before)
+
+
 def test_who_is_asked_to_stop_tidies_up(folder, monkeypatch, number):
     def stopped(flows):
         with whole_file(folder / "o.flo") as unfinished:
@@ -732,3 +739,9 @@ def test_who_is_asked_to_stop_tidies_up(folder, monkeypatch, number):
     result = run(folder / "a.png", folder / "b.png", "-o", folder / "o.flo", *FAST)
     assert result.exit_code == 130 and "stopped" in result.stderr
     assert sorted(folder.iterdir()) == before
+
+
+def test_a_hangup_that_is_ignored_stays_ignored(folder, asked, number):
+    signal.signal(number, signal.SIG_IGN)
+    done(folder / "a.png", folder / "b.png", "-o", folder / "o.flo", *FAST)
+    assert signal.getsignal(number) == signal.SIG_IGN

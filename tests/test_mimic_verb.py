@@ -302,7 +302,10 @@ def test_means_of_other_expressions_are_said(work, actor, other):
         return points(opening_px=6.0 if image.shape[0] == 72 else 1.0)
 
     outcome = run(work, detector=detector)
-    assert any("the mouth of drawn is open by 33%" in note for note in outcome.warnings)
+    assert any(
+        "the mouth's opening is 33% of the eye distance in drawn, 6% in other" in note
+        for note in outcome.warnings
+    )
 
 
 def test_without_networks_what_was_left_out_is_said(work, actor):
