@@ -110,7 +110,7 @@ def main() -> None:
 
 
 def _tidy_up_when_asked_to_stop() -> None:
-    """Let SIGTERM and SIGHUP end a verb as Ctrl-C does, so that no unfinished file is left; under nohup neither does."""
+    """Let SIGTERM and SIGHUP end a verb as Ctrl-C does, so that no unfinished file is left; not under nohup."""
     if threading.current_thread() is threading.main_thread():
         for number in (signal.SIGTERM, getattr(signal, "SIGHUP", signal.SIGTERM)):
             if signal.getsignal(number) == signal.SIG_DFL:

@@ -14,7 +14,19 @@ if TYPE_CHECKING:
     from morphspace.verbs.outcome import Outcome
 
 FACES_MISSING = 3  # exit code: all was done, but some driving frames show no face
-DEFAULT_METHOD = "map"
+DEFAULT_METHOD = "transfer"
+
+
+def gain_of(_context: click.Context, _option: click.Parameter, word: str) -> float | str:
+    """Read the word of --gain: a number, or auto."""
+    if word == "auto":
+        return word
+    try:
+        return float(word)
+    except ValueError as error:
+        raise click.BadParameter(f"{word!r} is neither a number nor auto") from error
+
+
 OPTIONS = (
     click.option(
         "--src",
@@ -51,10 +63,11 @@ OPTIONS = (
     ),
     click.option(
         "--gain",
-        type=float,
-        default=1.0,
+        callback=gain_of,
+        default="1",
         show_default=True,
-        help="Multiply all loadings: above 1 caricatures.",
+        metavar="G|auto",
+        help="Multiply all loadings: above 1 caricatures; auto: as far as A moves.",
     ),
     click.option(
         "--max-sd",

@@ -16,6 +16,7 @@ import numpy as np
 from morphspace import warp
 from morphspace.arrays import Affine, AnyArray, Displacement, Image, Points
 from morphspace.errors import BadInput
+from morphspace.facepoints import POINT_COUNT
 from morphspace.faces import FaceFrame, Framing
 from morphspace.model import MorphModel
 from morphspace.progress import Step, Steps
@@ -34,7 +35,11 @@ WIDE_SPREAD = 0.05  # of the eye distance; beyond it the detections contradict e
 
 
 class HasFaceframe(Protocol):
-    """What a detector finds in an image, as far as it matters here."""
+    """What a detector finds in an image, as far as it matters here: `points` (n, 2) px, the same ones in every face."""
+
+    @property
+    def points(self) -> Points:
+        """All points, (n, 2) px of the image."""
 
     def faceframe(self) -> FaceFrame:
         """Give the three points in px of the image."""
@@ -48,11 +53,13 @@ FaceDetector: TypeAlias = Callable[[Image], HasFaceframe | None]
 class DetectedFaceframe:
     """A faceframe found in `faces` faces of a model, of which `found` showed one to the detector.
 
-    `spread_px` (3,) is the median distance of the detections from the point, each carried to the mean face.
+    `spread_px` (3,) is the median distance of the detections from the point, each carried to the mean face; `points`
+    (n, 2) px are all that the detector finds, on the mean face.
     """
 
     faceframe: FaceFrame
     spread_px: AnyArray
+    points: Points
     faces: int
     found: int
 
@@ -155,6 +162,15 @@ def lip_of(model: MorphModel) -> Lip:
     return "upper-lip" if lip == "upper-lip" else "philtrum"
 
 
+def landmarks_of(model: MorphModel) -> Points | None:
+    """Give the points of the face mesh on the mean face, (478, 2) px, where `keypoints --auto` left them."""
+    origin = model.provenance.get("keypoints")
+    points = origin.get("points") if isinstance(origin, dict) else None
+    if points is None or len(points) != POINT_COUNT:
+        return None
+    return np.asarray(points, np.float64)
+
+
 def framing_of(model: MorphModel) -> Framing:
     """Give how the build turned source pictures into the model's frames."""
     built = model.provenance["framing"]
@@ -198,7 +214,7 @@ def detect_faceframe(
         face = np.clip(warp.sample(morph.texture, inverse), 0, 1)
         found = detect(face)
         if found is not None:
-            carried.append(warp.move_points(inverse, found.faceframe().points))
+            carried.append(warp.move_points(inverse, np.vstack([found.faceframe().points, found.points])))
         yield Step("keypoints", number + 1, len(rows))
     if len(carried) < max(LEAST_FOUND, len(rows) / 2):
         raise BadInput(
@@ -208,5 +224,5 @@ def detect_faceframe(
     stack = np.array(carried)
     points = np.median(stack, axis=0)
     spread_px = np.median(np.hypot(*np.moveaxis(stack - points, -1, 0)), axis=0)
-    faceframe, _ = checked_faceframe(points, model.size, "the detector")
-    return DetectedFaceframe(faceframe, spread_px, len(rows), len(carried))
+    faceframe, _ = checked_faceframe(points[:3], model.size, "the detector")
+    return DetectedFaceframe(faceframe, spread_px[:3], points[3:], len(rows), len(carried))

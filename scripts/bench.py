@@ -22,11 +22,13 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import bench_build
+import bench_detection
 import bench_flow
 import bench_flow_ablation
 import bench_flow_confidence
 import bench_flow_time
 import bench_landmarks
+import bench_mimicry
 import bench_quality
 import bench_speed
 import bench_video
@@ -49,7 +51,17 @@ FLOW_SECTIONS = (
     "flow-ablation",
     "flow-confidence",
 )  # errors; times; what each part of the estimator is worth; confidence
-DATA_SECTIONS = ("roundtrip", "heldout", "landmarks", "ceiling", "build", "memory", *FLOW_SECTIONS)
+DATA_SECTIONS = (
+    "roundtrip",
+    "heldout",
+    "landmarks",
+    "ceiling",
+    "build",
+    "memory",
+    "detection",
+    "mimicry",
+    *FLOW_SECTIONS,
+)
 OTHER_SECTIONS = ("pca", "render", "open", "warp", "help", "video")
 BUILD_ROUNDS = 3  # at most; a build takes minutes
 
@@ -102,6 +114,10 @@ def run(section: str, arguments: argparse.Namespace, work: Path) -> None:
         bench_flow_ablation.flow_ablation(data)
     elif section == "flow-confidence":
         bench_flow_confidence.flow_confidence(data)
+    elif section == "detection":
+        bench_detection.detection(data, work, arguments.judge)
+    elif section == "mimicry":
+        bench_mimicry.mimicry(data, work, arguments.face_judge)
     elif section == "video":
         bench_video.video_form()
     else:
@@ -122,6 +138,7 @@ def main(words: Sequence[str]) -> int:
     parser.add_argument("sections", nargs="+", choices=(*DATA_SECTIONS, *OTHER_SECTIONS), metavar="SECTION")
     parser.add_argument("--data", type=Path, default=os.environ.get("MORPHSPACE_DATA"))
     parser.add_argument("--judge", help="python that holds the landmark detector")
+    parser.add_argument("--face-judge", help="python that holds the judge of mimicry (scripts/face_judge.py)")
     parser.add_argument("--work", type=Path, help="folder for models and flow (default: a temporary one)")
     parser.add_argument("--clips", nargs="+", default=CLIPS, metavar="NAME")
     parser.add_argument("--rounds", type=positive, default=21, help="of each timing (default 21)")
@@ -129,7 +146,9 @@ def main(words: Sequence[str]) -> int:
     arguments = parser.parse_args(words)
     if arguments.data is None and any(section in DATA_SECTIONS for section in arguments.sections):
         parser.error("these sections need the clips: give --data or set MORPHSPACE_DATA")
-    if arguments.judge is None and {"landmarks", "ceiling"} & set(arguments.sections):
+    if arguments.face_judge is None and "mimicry" in arguments.sections:
+        parser.error("mimicry needs --face-judge, the python that holds its judge")
+    if arguments.judge is None and {"landmarks", "ceiling", "detection"} & set(arguments.sections):
         parser.error("landmarks need --judge, the python that holds the detector")
     with tempfile.TemporaryDirectory() as temporary:
         work = arguments.work or Path(temporary)

@@ -28,8 +28,8 @@ from morphspace.faces import FaceFrame, face_mask
 from morphspace.files.images import read_image, write_image
 from morphspace.files.tables import read_loadings_table, read_metrics_table
 from morphspace.files.video import video_info, write_video
-from morphspace.mimic import METHODS, Quality, mimic
-from morphspace.model import Loadings, MorphModel, inner_product, model_digest
+from morphspace.mimic import METHODS, Quality, auto_gain, mimic
+from morphspace.model import Loadings, MorphModel, inner_product, load_model, model_digest
 from morphspace.morph import Morph, parts_of, vector_of
 from morphspace.progress import WORKERS, result_of
 from morphspace.report.mimic_page import HEADINGS
@@ -207,7 +207,7 @@ def test_the_same_request_gives_the_same_bytes(work):
 
 
 def test_the_first_components_alone_move(work, other):
-    run(work, components=1, max_sd=LOOSE)
+    run(work, components=1, max_sd=LOOSE, method="map")
     found = read_loadings_table(work / "out" / "loadings.csv")
     assert found.loadings_sd.shape == (12, 1)
     drawn = np.clip(other.render(found.loadings_sd[0] * other.sd[:1]), 0, 1)
@@ -476,3 +476,15 @@ def test_the_command_line_exits_3_where_a_frame_shows_no_face(work, monkeypatch,
     assert "2 of 2 frames show no face" in result.stderr
     refused = CliRunner().invoke(main, [*map(str, words), "--max-sd", "0"])
     assert refused.exit_code == 2 and len(refused.stderr.strip().splitlines()) == 1
+
+
+def test_the_automatic_gain_is_found_and_told(work, other):
+    run(work, gain="auto", components=1)
+    told = json.loads((work / "out" / "record.json").read_text())["settings"]
+    expected = auto_gain(load_model(work / "a.morph"), other.truncate(1))
+    assert told["gain"] == pytest.approx(expected)
+
+
+def test_a_word_that_is_no_gain_is_refused():
+    result = CliRunner().invoke(main, ["mimic", "--src", "a", "--dst", "b", "-o", "c", "--gain", "much"])
+    assert result.exit_code == 2 and "neither a number nor auto" in result.stderr

@@ -152,6 +152,7 @@ def _detected(model: MorphModel, detector: FaceDetector) -> Steps[Found]:
         "faces": found.faces,
         "found": found.found,
         "spread_px": [round(float(value), 3) for value in found.spread_px],
+        "points": [[round(float(x), 2), round(float(y), 2)] for x, y in found.points],
     }
     return Found(found.faceframe, origin, (said,), notes)
 

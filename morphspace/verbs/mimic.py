@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
@@ -18,7 +18,7 @@ from morphspace.detection import Detector
 from morphspace.errors import BadInput
 from morphspace.files.clips import Clip, open_clip
 from morphspace.files.tables import write_loadings_table
-from morphspace.mimic import METHODS, Method, mimic
+from morphspace.mimic import METHODS, Method, auto_gain, mimic
 from morphspace.model import MorphModel
 from morphspace.progress import Steps
 from morphspace.report.mimic_page import MimicryShown, mimic_page
@@ -39,7 +39,7 @@ from morphspace.verbs.mimic_table import FrameMade, quality_columns, write_quali
 from morphspace.verbs.outcome import Outcome, check_folder, picture_names, versions, write_record
 from morphspace.verbs.render import CLIPPED_SHARE
 
-DEFAULT_METHOD = "map"  # of the request and of the command line
+DEFAULT_METHOD = "transfer"  # of the request and of the command line
 MAX_SD = 3.0
 
 
@@ -48,7 +48,8 @@ class MimicRequest:
     """Let `source` drive `target`, each a model or a clip to build one of, and write into the folder `output`.
 
     `frames` is the clip that drives, None for the source's own training frames; `method` is one of `METHODS`; `gain`
-    multiplies the loadings; `max_sd` bounds each of them; `components` uses the target's first so many, None for all.
+    multiplies the loadings, "auto" so that the target moves as far as the source (`mimic.auto_gain`); `max_sd` bounds
+    each of them; `components` uses the target's first so many, None for all.
     """
 
     source: str
@@ -56,7 +57,7 @@ class MimicRequest:
     output: Path
     frames: str | None = None
     method: str = DEFAULT_METHOD
-    gain: float = 1.0
+    gain: float | Literal["auto"] = 1.0
     max_sd: float = MAX_SD
     components: int | None = None
 
@@ -83,11 +84,13 @@ def run(request: MimicRequest, detector: Detector | None = None) -> Steps[Outcom
     video = folder / "side-by-side.mp4"
     _check_inputs_stay((*pictures, video), [*driver.files, *_files_of(opened)])
     check_folder(folder / "frames")
-    make = mimic(source.model, shown_target, _method(request), gain=request.gain, max_sd=request.max_sd)
+    method = _method(request)
+    gain = auto_gain(source.model, shown_target, method) if request.gain == "auto" else request.gain
+    make = mimic(source.model, shown_target, method, gain=gain, max_sd=request.max_sd)
     looks = mimic_advice.looks_for_faces(driver, source.model, target.model, detect)
     settings = {
         "method": request.method,
-        "gain": request.gain,
+        "gain": gain,
         "max_sd": request.max_sd,
         "components": shown_target.rank,
         "frames": "clip" if driver.is_pictures else "training",
@@ -99,7 +102,7 @@ def run(request: MimicRequest, detector: Detector | None = None) -> Steps[Outcom
     columns = quality_columns(driver.names, made)
     loadings = np.array([one.loadings for one in made]).reshape(len(made), shown_target.rank)
     loadings_sd = loadings / shown_target.sd
-    advice = mimic_advice.advice_of(source.model, target.model, made, loadings_sd, looks, request.gain)
+    advice = mimic_advice.advice_of(source.model, target.model, made, loadings_sd, looks, gain)
     notes = (*driver.notes, *_size_note(source.model, target.model), *looks.notes, *advice)
     notes += _clipped_note(made, shown_target) + _stale_note(folder / "frames", pictures)
     told = {
@@ -149,7 +152,7 @@ def _method(request: MimicRequest) -> Method:
 
 def _check_request(request: MimicRequest) -> None:
     _method(request)
-    if not np.isfinite(request.gain):
+    if request.gain != "auto" and not np.isfinite(request.gain):
         raise BadInput(f"a gain of {request.gain} cannot be used: give a number, 1 for the motion as it is")
     if not (np.isfinite(request.max_sd) and request.max_sd > 0):
         raise BadInput(
@@ -247,7 +250,7 @@ def _settings_shown(
     what = "a clip" if driver.is_pictures else "the source's training frames, from their loadings"
     return {
         "method": request.method,
-        "gain": f"{request.gain:g}",
+        "gain": f"{told['gain']:g}" + (" (auto)" if request.gain == "auto" else ""),
         "bound of each loading": f"{request.max_sd:g} SD",
         "components": f"{told['components']} of {target.model.rank}",
         "source": f"{source.model.identity}, model {source.model.model_id}, {sizes[0]}, {source.path.name}",
