@@ -95,41 +95,37 @@ class Passage:
         return warp.affine_displacement(warp.inverse_affine(self.affine), height, width)
 
     @cached_property
+    def places(self) -> tuple[AnyArray, AnyArray]:
+        """Where each pixel of the target's mean face lies on the source's: x and y px, (h, w) each."""
+        return warp.positions(self.back)
+
+    @cached_property
     def seen(self) -> Mask:
         """The source's mask on the target's mean face (h, w): where the source has something to say."""
-        x, y = warp.positions(self.back)
-        return cv2.remap(
-            np.ascontiguousarray(self.source.mask),
-            x,
-            y,
-            cv2.INTER_LINEAR,
-            borderMode=cv2.BORDER_CONSTANT,
-            borderValue=0,
-        )
+        return self._looked_up(self.source.mask)
 
     def carried(self, offset: MorphOffset) -> MorphOffset:
         """Lay a difference of the source on the target's mean face; displacements turn and scale with the affine.
 
         Outside the source's picture nothing is known to differ: the offset is 0 there.
         """
-        x, y = warp.positions(self.back)
-        texture, field = (
-            cv2.remap(
-                np.ascontiguousarray(plane),
-                x,
-                y,
-                cv2.INTER_LINEAR,
-                borderMode=cv2.BORDER_CONSTANT,
-                borderValue=0,
-            )
-            for plane in (
-                offset.texture,
-                np.dstack([offset.displacement, np.zeros_like(offset.displacement[..., :1])]),
-            )
-        )
+        right, down = (self._looked_up(offset.displacement[..., axis]) for axis in (0, 1))
         linear = self.affine[:, :2].astype(np.float32)
-        return MorphOffset(
-            np.ascontiguousarray(field[..., :2] @ linear.T), texture, self.target.mean.reference_id
+        displacement = np.empty((*right.shape, 2), np.float32)
+        displacement[..., 0] = linear[0, 0] * right + linear[0, 1] * down
+        displacement[..., 1] = linear[1, 0] * right + linear[1, 1] * down
+        return MorphOffset(displacement, self._looked_up(offset.texture), self.target.mean.reference_id)
+
+    def _looked_up(self, planes: AnyArray) -> AnyArray:
+        """Read a plane (H, W) or a texture (H, W, 3) of the source for each pixel of the target, 0 outside."""
+        x, y = self.places
+        return cv2.remap(
+            np.ascontiguousarray(planes),
+            x,
+            y,
+            cv2.INTER_LINEAR,
+            borderMode=cv2.BORDER_CONSTANT,
+            borderValue=0,
         )
 
 
@@ -204,10 +200,12 @@ def mimic(
         vector = vector_of(carried.texture, carried.displacement)
         asked = gain * solve(vector)
         loadings = sd * bounded(asked / sd, max_sd)
-        morph = target.expand(loadings)
+        shown = target.basis.expand(loadings)
+        texture, displacement = parts_of(shown, *target.mask.shape)
+        morph = target.mean + MorphOffset(displacement, texture, target.mean.reference_id)
         if method == "transfer":
             morph = _with_rest(passage, carried * gain, morph)
-        return Mimicry(loadings, morph, _quality(passage, vector, asked, loadings, morph))
+        return Mimicry(loadings, morph, _quality(target, vector, shown, asked, loadings, morph))
 
     return to_target
 
@@ -253,11 +251,14 @@ def _with_rest(passage: Passage, carried: MorphOffset, morph: Morph) -> Morph:
 
 
 def _quality(
-    passage: Passage, offset: AnyArray, asked: LoadingVector, loadings: LoadingVector, morph: Morph
+    target: MorphModel,
+    offset: AnyArray,
+    shown: AnyArray,
+    asked: LoadingVector,
+    loadings: LoadingVector,
+    morph: Morph,
 ) -> Quality:
-    target = passage.target
     height, width = target.mask.shape
-    shown = target.basis.expand(loadings)
     kept = []
     for part in (slice(0, 3 * height * width), slice(3 * height * width, None)):
         weight = target.basis.weight[part]

@@ -308,7 +308,7 @@ def test_a_stopped_build_goes_on_and_gives_the_same_bytes(tmp_path: Path):
     patience = time.monotonic() + 60  # s; far more than the first frames need, so that a hang ends
     while len(list(work.glob("*.frame"))) < 5 and time.monotonic() < patience:
         time.sleep(0.02)
-    started.send_signal(signal.SIGINT)
+    started.send_signal(signal.SIGTERM)  # ends it as Ctrl-C does, and no shell ignores it for its jobs
     _, told = started.communicate()
     assert started.returncode == 130, told
     assert told.strip().splitlines()[-1].startswith("morphspace: stopped")
