@@ -29,6 +29,7 @@ import bench_flow_confidence
 import bench_flow_time
 import bench_landmarks
 import bench_mimicry
+import bench_mimicry_drawn
 import bench_quality
 import bench_speed
 import bench_video
@@ -62,7 +63,7 @@ DATA_SECTIONS = (
     "mimicry",
     *FLOW_SECTIONS,
 )
-OTHER_SECTIONS = ("pca", "render", "open", "warp", "help", "video")
+OTHER_SECTIONS = ("pca", "render", "open", "warp", "help", "video", "mimicry-drawn")
 BUILD_ROUNDS = 3  # at most; a build takes minutes
 
 
@@ -118,6 +119,8 @@ def run(section: str, arguments: argparse.Namespace, work: Path) -> None:
         bench_detection.detection(data, work, arguments.judge)
     elif section == "mimicry":
         bench_mimicry.mimicry(data, work, arguments.face_judge)
+    elif section == "mimicry-drawn":
+        bench_mimicry_drawn.mimicry_drawn(work)
     elif section == "video":
         bench_video.video_form()
     else:
