@@ -24,6 +24,7 @@ from morphspace.cli_keypoints import add_keypoints
 from morphspace.cli_measure import measure_mimicry_options
 from morphspace.cli_mimic import add_mimic
 from morphspace.cli_models import add_models
+from morphspace.cli_words import CROP, SIZE, WeightOrAuto
 from morphspace.errors import BadInput, MorphspaceError
 from morphspace.flow.names import DEFAULT, NAMES
 
@@ -33,48 +34,6 @@ if TYPE_CHECKING:
 
 PROGRESS_AFTER_S = 2.0
 INTERRUPTED = 130
-
-
-class Numbers(click.ParamType):  # type: ignore[type-arg]
-    """A fixed count of whole numbers written with a separator, such as 200x240 or 10,20,200,240."""
-
-    def __init__(self, name: str, count: int, separator: str) -> None:
-        self.name, self.count, self.separator = name, count, separator
-
-    def convert(
-        self, value: Any, param: click.Parameter | None, ctx: click.Context | None
-    ) -> tuple[int, ...]:
-        if isinstance(value, tuple):
-            return value
-        parts = re.split(f"[{self.separator}]", value)
-        if len(parts) != self.count or not all(re.fullmatch(r"\d{1,6}", part) for part in parts):
-            self.fail(
-                f"{value!r} is not {self.name}: write {self.count} whole numbers, such as {self.example}"
-            )
-        return tuple(map(int, parts))
-
-    @property
-    def example(self) -> str:
-        """How such a value looks."""
-        return {2: "200x240", 4: "10,20,200,240"}[self.count]
-
-
-SIZE = Numbers("WxH", 2, "xX")
-CROP = Numbers("X,Y,W,H", 4, ",")
-
-
-class WeightOrAuto(click.ParamType):  # type: ignore[type-arg]
-    """A number, or the word auto (None)."""
-
-    name = "auto|NUMBER"
-
-    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float | None:
-        if value == "auto":
-            return None
-        try:
-            return float(value)
-        except ValueError:
-            self.fail(f"{value!r} is neither auto nor a number")
 
 
 class OneLineErrors(click.Group):

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Literal, Protocol, TypeAlias
+from typing import Any, Literal, Protocol, TypeAlias
 
 import numpy as np
 
@@ -62,6 +62,19 @@ class DetectedFaceframe:
     points: Points
     faces: int
     found: int
+
+    @property
+    def origin(self) -> dict[str, Any]:
+        """What a model's provenance says of keypoints that were detected; see `MorphModel.with_faceframe`."""
+        return {
+            "source": "auto",
+            "lip": "philtrum",
+            "on": "mean",
+            "faces": self.faces,
+            "found": self.found,
+            "spread_px": [round(float(value), 3) for value in self.spread_px],
+            "points": [[round(float(x), 2), round(float(y), 2)] for x, y in self.points],
+        }
 
 
 def checked_faceframe(

@@ -8,14 +8,18 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from morphspace import warp
 from morphspace.errors import BadInput
+from morphspace.facepoints import LIPS, POINT_COUNT
 from morphspace.faces import FaceFrame
+from morphspace.keypoints import DetectedFaceframe, landmarks_of
 from morphspace.mimic import (
+    FEATURE_WEIGHT,
     GAIN_RANGE,
     METHODS,
     Passage,
     Solver,
     auto_gain,
     bounded,
+    feature_weights,
     mimic,
     offset_of,
 )
@@ -163,3 +167,16 @@ def test_what_cannot_be_driven_is_refused(model, person):
     empty: MorphModel = person.truncate(0)
     with pytest.raises(BadInput, match="no component"):
         mimic(person, empty)
+
+
+def test_lids_brows_and_lips_weigh_more_where_they_are_known(person):
+    assert_array_equal(feature_weights(person), 1)
+    points = np.full((POINT_COUNT, 2), -1000.0)
+    points[list(LIPS)] = (30.0, 50.0)
+    found = DetectedFaceframe(FRAME, np.zeros(3), points, 40, 40)
+    marked = person.with_faceframe(found.faceframe, found.origin)
+    assert_allclose(landmarks_of(marked), points)
+    weights = feature_weights(marked)
+    assert weights[50, 30] == pytest.approx(1 + FEATURE_WEIGHT, rel=1e-3)
+    assert weights[10, 30] == pytest.approx(1, abs=1e-3)
+    assert landmarks_of(person.with_faceframe(FRAME, {"source": "set"})) is None

@@ -10,6 +10,7 @@ import numpy as np
 from morphspace.arrays import AnyArray, Image, LoadingTable
 from morphspace.imitation import Comparison
 from morphspace.report import pictures
+from morphspace.report.blocks import key_figures, notes_section
 from morphspace.report.markup import DASH, Html, element, figure, joined, section, sentence, table, text
 from morphspace.report.plots import PLOT_SIZE, SMALL_SIZE, Mark, Plot, line_plot
 from morphspace.report.style import STYLE
@@ -57,7 +58,7 @@ def imitation_page(shown: MeasuredImitation) -> str:
         element("h1", text(title)),
         element("p", text(f"Measured in the expression space of {model}"), class_="kicker"),
         _figures(shown),
-        _notes(shown.notes),
+        notes_section(shown.notes),
         _faces(shown),
         _traces(shown),
         _timing(shown),
@@ -120,21 +121,7 @@ def _figures(shown: MeasuredImitation) -> Html:
         (number(_last(shown, "gain")), "gain: size of the imitation's motion along the stimulus'"),
         (number(_last(shown, "distance_sd")), "SD of distance, root mean square over frames"),
     ]
-    cells = [element("div", element("dt", text(what)), element("dd", text(value))) for value, what in entries]
-    return element("dl", *cells, class_="figures")
-
-
-def _notes(notes: Sequence[str]) -> Html:
-    if not notes:
-        return Html("")
-    items = [element("li", text(note)) for note in notes]
-    return element(
-        "section",
-        element("h2", text("Before you read on")),
-        element("ul", *items),
-        class_="advice",
-        id="notes",
-    )
+    return key_figures(entries)
 
 
 def _faces(shown: MeasuredImitation) -> Html:

@@ -10,6 +10,7 @@ import numpy as np
 
 from morphspace.arrays import Image, LoadingTable
 from morphspace.report import pictures
+from morphspace.report.blocks import key_figures, notes_section
 from morphspace.report.markup import Html, element, figure, joined, section, sentence, table, text
 from morphspace.report.plots import SMALL_SIZE, Plot, line_plot
 from morphspace.report.style import STYLE
@@ -70,7 +71,7 @@ def mimic_page(shown: MimicryShown) -> str:
         element("h1", text(title)),
         element("p", text(f"{len(shown.loadings_sd)} frames{driven}"), class_="kicker"),
         _figures(shown),
-        _notes(shown.notes),
+        notes_section(shown.notes),
         _faces(shown),
         _traces(shown),
         _quality(shown),
@@ -116,21 +117,7 @@ def _figures(shown: MimicryShown) -> Html:
         (f"{np.max(columns['folds']):.2%}", "of the face folds in the worst frame"),
         (f"{flagged}", f"of {len(columns['flags'])} frames are flagged"),
     ]
-    cells = [element("div", element("dt", text(what)), element("dd", text(value))) for value, what in entries]
-    return element("dl", *cells, class_="figures")
-
-
-def _notes(notes: Sequence[str]) -> Html:
-    if not notes:
-        return Html("")
-    items = [element("li", text(note)) for note in notes]
-    return element(
-        "section",
-        element("h2", text("Before you read on")),
-        element("ul", *items),
-        class_="advice",
-        id="notes",
-    )
+    return key_figures(entries)
 
 
 def _faces(shown: MimicryShown) -> Html:

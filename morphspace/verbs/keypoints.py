@@ -145,16 +145,7 @@ def _detected(model: MorphModel, detector: FaceDetector) -> Steps[Found]:
         if worst > WIDE_SPREAD
         else ()
     )
-    origin = {
-        "source": "auto",
-        "lip": "philtrum",
-        "on": "mean",
-        "faces": found.faces,
-        "found": found.found,
-        "spread_px": [round(float(value), 3) for value in found.spread_px],
-        "points": [[round(float(x), 2), round(float(y), 2)] for x, y in found.points],
-    }
-    return Found(found.faceframe, origin, (said,), notes)
+    return Found(found.faceframe, found.origin, (said,), notes)
 
 
 def _given(model: MorphModel, request: KeypointsRequest) -> Found:

@@ -173,15 +173,7 @@ def ready_model(
                 f"models fetch` once, or set them with `morphspace keypoints {path} --set`"
             )
         found = yield from detect_faceframe(model, detector)
-        origin = {
-            "source": "auto",
-            "lip": "philtrum",
-            "on": "mean",
-            "faces": found.faces,
-            "found": found.found,
-            "spread_px": [round(float(value), 3) for value in found.spread_px],
-        }
-        model.with_faceframe(found.faceframe, origin).save(path)
+        model.with_faceframe(found.faceframe, found.origin).save(path)
         model = load_model(path)
     yield Step("models", 1, 1)
     return UsedModel(model, path, digest_of_file(path))
