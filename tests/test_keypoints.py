@@ -14,7 +14,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 from morphspace import warp
 from morphspace.cli import OneLineErrors, verb
 from morphspace.cli_keypoints import add_keypoints
-from morphspace.errors import BadInput
+from morphspace.errors import BadInput, ModelFileError
 from morphspace.faces import FaceFrame
 from morphspace.files.images import read_image
 from morphspace.keypoints import (
@@ -344,3 +344,12 @@ def test_bad_input_is_one_line_and_leaves_the_model(saved, command, words, menti
 def test_the_command_has_help(command):
     assert isinstance(OneLineErrors("x"), click.Group)
     assert "--lip" in command("--help").output
+
+
+def test_a_damaged_model_is_not_written_again(saved):
+    content = bytearray(saved.read_bytes())
+    content[len(content) // 2] ^= 0xFF
+    saved.write_bytes(content)
+    with pytest.raises(ModelFileError, match="changed after it was written"):
+        result_of(run(KeypointsRequest(saved, points=tuple(map(tuple, FRAME.points)))))
+    assert saved.read_bytes() == bytes(content)

@@ -25,6 +25,7 @@ from morphspace.keypoints import (
     picture_to_mean,
 )
 from morphspace.model import MorphModel, load_model
+from morphspace.modelfile import check_content
 from morphspace.progress import Steps
 from morphspace.storage import digest_of_file
 from morphspace.verbs.outcome import Outcome, check_file
@@ -70,6 +71,7 @@ def run(request: KeypointsRequest, detector: FaceDetector | None = None) -> Step
     `detector` None takes the package's own, with --auto.
     """
     _check(request)
+    check_content(request.model)  # a damaged model must not be written again as a whole one
     model = load_model(request.model)
     if not request.automatic and request.points is None and request.file is None:
         return _shown(request.model, model)

@@ -229,7 +229,7 @@ def _clipped_note(made: Sequence[FrameMade], target: MorphModel) -> tuple[str, .
     clipped = sum(one.clipped for one in made)
     if clipped <= CLIPPED_SHARE * len(made) * target.mask.size * 3:
         return ()
-    return (f"{clipped} colour values left the range of the files and were clipped: lower the gain",)
+    return (f"{clipped} colour values left the range of the files and were clipped",)
 
 
 def _stale_note(folder: Path, pictures: Sequence[Path]) -> tuple[str, ...]:

@@ -22,6 +22,7 @@ from morphspace.flow import methods
 from morphspace.keypoints import detect_faceframe
 from morphspace.mimic import offset_of
 from morphspace.model import MorphModel, load_model
+from morphspace.modelfile import check_content
 from morphspace.morph import MorphOffset
 from morphspace.progress import Step, Steps
 from morphspace.storage import digest_of_file, digest_of_json
@@ -128,6 +129,7 @@ def opened_model(role: str, given: str, detector: Detector | None) -> UsedModel 
     """Open a model or a clip and check, before any work, that it has or can get keypoints. Raises `BadInput`."""
     path = Path(given)
     if path.suffix.lower() == MODEL_SUFFIX and not path.is_dir():
+        check_content(path)
         model = load_model(path)
         if model.faceframe is None:
             raise BadInput(
