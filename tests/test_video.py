@@ -326,3 +326,14 @@ def test_a_file_in_place_of_the_folder_is_named(tmp_path):
     (tmp_path / "file").write_text("")
     with pytest.raises(UnwritableFile, match=r"cannot write .*file/a\.mp4"):
         write_video(tmp_path / "file" / "a.mp4", noise(count=1))
+
+
+def test_many_frames_give_the_same_bytes_every_time(tmp_path, picture):
+    """Long enough for the encoder to look ahead; its rate control by blocks once read memory nobody had written."""
+    still = picture(120, 200, seed=1)
+    frames = [np.roll(still, 3 * number, axis=1) for number in range(60)]
+    written = set()
+    for _ in range(4):
+        write_video(tmp_path / "a.mp4", frames)
+        written.add((tmp_path / "a.mp4").read_bytes())
+    assert len(written) == 1

@@ -274,7 +274,8 @@ def _add_stream(container: Any, suffix: str, rate: Fraction, encoding: Encoding)
     if encoding == "people":
         stream = container.add_stream("libx264", rate=rate)
         stream.pix_fmt = "yuv420p"
-        stream.options = {"crf": str(PEOPLE_CRF), "preset": "medium"}
+        # without macroblock-tree rate control, which with AVX-512 gives other bytes from run to run
+        stream.options = {"crf": str(PEOPLE_CRF), "preset": "medium", "mbtree": "0"}
         stream.codec_context.colorspace = BT709
         stream.codec_context.color_primaries = BT709
         stream.codec_context.color_trc = 1
