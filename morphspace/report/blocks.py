@@ -1,10 +1,12 @@
-"""Blocks that several pages share: what to know before reading, and the figures at the top."""
+"""What the pages with a video beside them share: the page itself, notes, the figures at the top, the settings."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
-from morphspace.report.markup import Html, element, text
+from morphspace.report.markup import Html, element, joined, section, table, text
+
+POLICY = "default-src 'none'; img-src data:; media-src 'self' file:; style-src 'unsafe-inline'"
 
 
 def notes_section(notes: Sequence[str]) -> Html:
@@ -25,3 +27,32 @@ def key_figures(entries: Sequence[tuple[str, str]]) -> Html:
     """Give the row of figures, each a value and what it is."""
     cells = [element("div", element("dt", text(what)), element("dd", text(value))) for value, what in entries]
     return element("dl", *cells, class_="figures")
+
+
+def settings_section(settings: Mapping[str, str]) -> Html:
+    """Give the table of what was asked for, name to value."""
+    return section(
+        "settings",
+        "Settings",
+        table(
+            "What was asked for, and what was used.",
+            ("Entry", "Value"),
+            [(text(name), text(value)) for name, value in settings.items()],
+            class_="pairs",
+        ),
+    )
+
+
+def page_beside_a_video(title: str, style: str, parts: Sequence[Html]) -> str:
+    """Give the whole page as HTML; it may load nothing but media files of its own folder."""
+    footer = element("footer", text("Written by morphspace. The page loads nothing but the video beside it."))
+    head = [
+        element("meta", charset="utf-8"),
+        element("meta", http_equiv="Content-Security-Policy", content=POLICY),
+        element("meta", name="viewport", content="width=device-width, initial-scale=1"),
+        element("title", text(title)),
+        element("style", Html(style)),
+    ]
+    body = element("body", element("main", joined([*parts, footer])))
+    page = element("html", Html("\n"), element("head", joined(head)), Html("\n"), body, lang="en")
+    return f"<!DOCTYPE html>\n{page}\n"

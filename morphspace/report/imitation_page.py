@@ -10,14 +10,13 @@ import numpy as np
 from morphspace.arrays import AnyArray, Image, LoadingTable
 from morphspace.imitation import Comparison
 from morphspace.report import pictures
-from morphspace.report.blocks import key_figures, notes_section
-from morphspace.report.markup import DASH, Html, element, figure, joined, section, sentence, table, text
+from morphspace.report.blocks import key_figures, notes_section, page_beside_a_video, settings_section
+from morphspace.report.markup import DASH, Html, element, figure, section, sentence, table, text
 from morphspace.report.plots import PLOT_SIZE, SMALL_SIZE, Mark, Plot, line_plot
 from morphspace.report.style import STYLE
 from morphspace.report.traces import TRACE_STYLE, trace_plot
 
 # The video lies beside the page, as a file; nothing else may be loaded.
-POLICY = "default-src 'none'; img-src data:; media-src 'self' file:; style-src 'unsafe-inline'"
 TRACES_SHOWN = 12  # components; the table has all
 LEAST_RANGE_SD = 1.0  # of a trace's axis, so that a still component looks still
 LEAST_RANGE_FRAMES = 4.0
@@ -64,28 +63,9 @@ def imitation_page(shown: MeasuredImitation) -> str:
         _timing(shown),
         _table(shown),
         _reading(shown),
-        section(
-            "settings",
-            "Settings",
-            table(
-                "What was asked for, and what was used.",
-                ("Entry", "Value"),
-                [(text(name), text(value)) for name, value in shown.settings.items()],
-                class_="pairs",
-            ),
-        ),
-        element("footer", text("Written by morphspace. The page loads nothing but the video beside it.")),
+        settings_section(shown.settings),
     ]
-    head = [
-        element("meta", charset="utf-8"),
-        element("meta", http_equiv="Content-Security-Policy", content=POLICY),
-        element("meta", name="viewport", content="width=device-width, initial-scale=1"),
-        element("title", text(title)),
-        element("style", Html(STYLE + TRACE_STYLE + VIDEO_STYLE)),
-    ]
-    body = element("body", element("main", joined(parts)))
-    page = element("html", Html("\n"), element("head", joined(head)), Html("\n"), body, lang="en")
-    return f"<!DOCTYPE html>\n{page}\n"
+    return page_beside_a_video(title, STYLE + TRACE_STYLE + VIDEO_STYLE, parts)
 
 
 def _last(shown: MeasuredImitation, name: str) -> float:

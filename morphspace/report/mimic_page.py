@@ -10,13 +10,12 @@ import numpy as np
 
 from morphspace.arrays import Image, LoadingTable
 from morphspace.report import pictures
-from morphspace.report.blocks import key_figures, notes_section
-from morphspace.report.markup import Html, element, figure, joined, section, sentence, table, text
+from morphspace.report.blocks import key_figures, notes_section, page_beside_a_video, settings_section
+from morphspace.report.markup import Html, element, figure, section, sentence, text
 from morphspace.report.plots import SMALL_SIZE, Plot, line_plot
 from morphspace.report.style import STYLE
 
 # The video lies beside the page, as a file; nothing else may be loaded.
-POLICY = "default-src 'none'; img-src data:; media-src 'self' file:; style-src 'unsafe-inline'"
 PAIRS_SHOWN = 24  # on the contact sheet
 TRACES_SHOWN = 8  # components; the table has all
 ROWS_SHOWN = 200  # of the quality table; flagged frames come first, quality.csv has all
@@ -75,28 +74,9 @@ def mimic_page(shown: MimicryShown) -> str:
         _faces(shown),
         _traces(shown),
         _quality(shown),
-        section(
-            "settings",
-            "Settings",
-            table(
-                "What was asked for, and what was used.",
-                ("Entry", "Value"),
-                [(text(name), text(value)) for name, value in shown.settings.items()],
-                class_="pairs",
-            ),
-        ),
-        element("footer", text("Written by morphspace. The page loads nothing but the video beside it.")),
+        settings_section(shown.settings),
     ]
-    head = [
-        element("meta", charset="utf-8"),
-        element("meta", http_equiv="Content-Security-Policy", content=POLICY),
-        element("meta", name="viewport", content="width=device-width, initial-scale=1"),
-        element("title", text(title)),
-        element("style", Html(STYLE + MIMIC_STYLE)),
-    ]
-    body = element("body", element("main", joined(parts)))
-    page = element("html", Html("\n"), element("head", joined(head)), Html("\n"), body, lang="en")
-    return f"<!DOCTYPE html>\n{page}\n"
+    return page_beside_a_video(title, STYLE + MIMIC_STYLE, parts)
 
 
 def _figures(shown: MimicryShown) -> Html:
