@@ -11,7 +11,7 @@ give the same bytes on any number of threads and after any interruption.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal, Protocol
@@ -20,7 +20,8 @@ import cv2
 import numpy as np
 
 from morphspace import faces, warp
-from morphspace.arrays import AnyArray, Image, Mask
+from morphspace.anchoring import FaceAnchor
+from morphspace.arrays import Affine, AnyArray, Image, Mask
 from morphspace.errors import BadInput, UnreadableFile
 from morphspace.faces import Frame, RegistrationKind
 from morphspace.flow import Flow, FlowFunction, methods, starts
@@ -29,7 +30,7 @@ from morphspace.progress import Step, Steps, in_order
 from morphspace.storage import digest_of_array, digest_of_json, read_container, write_container
 
 FRAME_FORMAT = "morphspace-work-frame-2"
-FLOW_VERSION = 5  # raise it when any flow method gives another field: kept frames are then made again
+FLOW_VERSION = 6  # raise it when any flow method gives another field: kept frames are then made again
 KEY_DIGITS = 32  # of the digest in a file's name
 
 FrameStart = Literal["coarse to fine", "neighbour"]
@@ -59,7 +60,7 @@ class FramePlan:
 
     `reference` (h, w, 3), which is frame `reference_index` | `region` (h, w) the rigid part that `registration` fits |
     `flow` by name | `mask` (h, w) the face on the reference, inside which `start` chooses; not the model's mask, which
-    may change without a new flow.
+    may change without a new flow | `anchor` holds the flow to the points of the face.
     """
 
     reference: Image
@@ -69,6 +70,7 @@ class FramePlan:
     registration: RegistrationKind
     flow: str
     start: StartKind
+    anchor: FaceAnchor | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,25 +82,43 @@ class WorkFrame:
     start: FrameStart
 
 
-def frame_steps(source: FrameSource, plan: FramePlan, work_folder: Path) -> Steps[list[Path]]:
+def frame_steps(
+    source: FrameSource,
+    plan: FramePlan,
+    work_folder: Path,
+    movements: Sequence[Affine | None] | None = None,
+) -> Steps[list[Path]]:
     """Register each frame and find its flow, or take both from the work folder; give each frame's file.
 
-    A generator of steps. Raises `BadInput` for a frame of another size than the reference.
+    `movements`, one for each frame, are starts of its registration (2, 3), None where nothing is known. A generator of
+    steps. Raises `BadInput` for a frame of another size than the reference.
     """
     find = methods.for_morphs(plan.flow)(plan.reference)
-    files = yield from _first_pass(source, plan, find, work_folder)
+    if plan.anchor is not None:
+        find = plan.anchor.anchored(find, *plan.mask.shape)
+    starting = [None] * len(source.names) if movements is None else list(movements)
+    files = yield from _first_pass(source, plan, find, work_folder, starting)
     if plan.start == "auto" and plan.flow not in starts.WITHOUT_START:
         files = yield from _second_pass(plan, find, files)
     return files
 
 
 def _first_pass(
-    source: FrameSource, plan: FramePlan, find: FlowFunction, work_folder: Path
+    source: FrameSource,
+    plan: FramePlan,
+    find: FlowFunction,
+    work_folder: Path,
+    movements: Sequence[Affine | None],
 ) -> Steps[list[Path]]:
     """Register each frame and find its flow, coarse to fine."""
     common: list[Any] = [FRAME_FORMAT, FLOW_VERSION, plan.flow, plan.registration, cv2.__version__]
     common += [digest_of_array(array) for array in (plan.reference, plan.region, plan.mask)]
-    files = [_file(work_folder, [*common, digest]) for digest in source.digests]
+    if plan.anchor is not None:
+        common.append(plan.anchor.identity)
+    files = [
+        _file(work_folder, [*common, digest, *([] if movement is None else [digest_of_array(movement)])])
+        for digest, movement in zip(source.digests, movements, strict=True)
+    ]
     missing = [index for index, file in enumerate(files) if not _is_whole(file)]
 
     def make(item: tuple[int, Image]) -> None:
@@ -108,7 +128,9 @@ def _first_pass(
             frame = Frame(image, "", faces.identity_affine())
             flow = Flow(np.zeros((height, width, 2), np.float32), np.ones((height, width), np.float32))
         else:
-            registration = faces.register(plan.reference, image, plan.registration, plan.region)
+            registration = faces.register(
+                plan.reference, image, plan.registration, plan.region, movements[index]
+            )
             frame = faces.aligned(image, "", registration)
             flow = find(frame.image, None)
         _write(files[index], plan, frame, flow, "coarse to fine")

@@ -25,8 +25,8 @@ LEAST_ORDERS = 2  # rivals are judged by second derivatives, which orders 0 and 
 COARSE_LIGHTS = (0.0, 2.0, 6.0)
 SDS_PX = (0.5, 0.7, 0.85, 1.0)
 FACTORS = (0.5, 0.7, 0.8)
-WARPS = ((1, 1, 1), (1, 1, 2), (1, 2, 2), (1, 2, 4), (2, 3, 4), (3, 4, 5))
-ROUNDS = (1, 2, 3, 4)
+WARPS = ((1, 1, 1), (1, 1, 2), (1, 2, 2), (1, 1, 2, 6), (1, 2, 4, 4), (2, 3, 4, 4), (3, 4, 5, 5))
+ROUNDS = ((1,), (2,), (3, 2), (3,), (4, 2), (4,))
 COUPLINGS = (0.1, 0.2, 0.4, 0.8)
 POOLINGS_PX = (0.0, 0.6, 1.0)
 FINESTS = (0.375, 0.5, 0.7, 1.0)
@@ -111,7 +111,7 @@ def _all_variants(base: Preset) -> Iterator[tuple[str, Preset]]:
     for warps in WARPS:
         yield f"warps {', '.join(map(str, warps))}", replace(base, warps=warps)
     for rounds in ROUNDS:
-        yield f"rounds of robust weights {rounds}", replace(base, rounds=rounds)
+        yield f"rounds of robust weights {', '.join(map(str, rounds))}", replace(base, rounds=rounds)
     for coupling in COUPLINGS:
         yield f"coupling {coupling:g}", replace(base, coupling=coupling)
     for sd_px in POOLINGS_PX:

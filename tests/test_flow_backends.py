@@ -148,10 +148,43 @@ def test_smoothers_agree(ours, shape, strength, edge_codes, guides):
     assert_allclose(found, CV.smoother(guide, strength, edge_codes)(planes), rtol=0, atol=1e-5 * CODES)
 
 
-@pytest.mark.parametrize("strength", [0.0, 1.0, 1e4, 1e7])
-def test_smoothing_keeps_a_constant_and_all_extremes(ours, strength):
+@pytest.mark.parametrize("guides", [1, 3])
+@pytest.mark.parametrize(("strength", "edge_codes"), [(0.1, 8.0), (20.0, 10.0), (3000.0, 20.0)])
+@pytest.mark.parametrize("shape", SHAPES)
+def test_recursive_smoothers_agree(ours, shape, strength, edge_codes, guides):
+    guide = 1.2 * soft(shape, seed=1, planes=guides) - 20
+    planes = noise(shape, planes=2)
+    found = ours.numpy(ours.recursive_smoother(ours.planes(guide), strength, edge_codes)(ours.planes(planes)))
+    expected = CV.recursive_smoother(guide, strength, edge_codes)(planes)
+    assert_allclose(found, expected, rtol=0, atol=2e-6 * CODES)
+
+
+@pytest.mark.parametrize("strength", [2.0, 20.0])
+def test_a_recursive_smoother_answers_a_dot_as_one_round_of_the_global_one(strength):
+    dot = np.zeros((1, 101, 101), np.float32)
+    dot[0, 50, 50] = 1
+    found = CV.recursive_smoother(np.zeros_like(dot), strength, 10.0)(dot)[0]
+    middle = 1 + 1 / (2 * strength)
+    pole = middle - np.sqrt(middle**2 - 1)  # pole / (1 - pole)^2 = strength
+    line = (1 - pole) / (1 + pole) * pole ** np.abs(np.arange(101) - 50)
+    assert_allclose(found, np.outer(line, line), rtol=0, atol=1e-6)
+
+
+def test_a_recursive_smoother_stops_at_a_step_of_its_guide():
+    guide = np.zeros((1, 40, 60), np.float32)
+    guide[..., 30:] = 120
+    field = np.where(guide > 0, np.float32(5), np.float32(-5))
+    found = CV.recursive_smoother(guide, 20.0, 10.0)(field)
+    assert_allclose(found, field, rtol=0, atol=0.2)
+    free = CV.recursive_smoother(np.zeros_like(guide), 20.0, 10.0)(field)
+    assert abs(free[0, 20, 29]) < 1
+
+
+@pytest.mark.parametrize("kind", ["smoother", "recursive_smoother"])
+@pytest.mark.parametrize("strength", [1e-3, 1.0, 1e4, 1e7])
+def test_smoothing_keeps_a_constant_and_all_extremes(ours, kind, strength):
     guide, planes = soft((40, 56)), noise((40, 56), planes=2)
-    smooth = ours.smoother(ours.planes(guide), strength, 8.0)
+    smooth = getattr(ours, kind)(ours.planes(guide), strength, 8.0)
     assert_allclose(ours.numpy(smooth(ours.planes(np.full_like(planes, 7)))), 7, rtol=1e-5)
     found = ours.numpy(smooth(ours.planes(planes)))
     assert planes.min() - ROUNDING <= found.min()
@@ -166,6 +199,7 @@ def test_results_are_new_planes(ours):
         lambda b, planes: b.averaged(planes, 9, 7),
         lambda b, planes: b.median(planes),
         lambda b, planes: b.smoother(planes, 0.0, 8.0)(planes),
+        lambda b, planes: b.recursive_smoother(planes, 1.0, 8.0)(planes),
         lambda b, planes: b.looked_up(planes, *on(b, x, y)),
     ):
         for backend in (CV, ours):
@@ -191,15 +225,15 @@ def test_dots_sum_over_the_planes(ours, count):
 
 def test_a_bank_is_its_filters_one_by_one(ours):
     planes = noise((20, 30), 4)
-    kernels = [
-        (gaussian_derivative(i, 1.0), gaussian_derivative(j, 0.7)) for i, j in ((0, 0), (1, 0), (1, 2))
-    ]
+    across, down = ([gaussian_derivative(n, sd_px) for n in range(3)] for sd_px in (1.0, 0.7))
+    kernels = [(across[i], down[j]) for i, j in ((0, 0), (1, 0), (1, 2))]  # two share a kernel
     for backend in (CV, ours):
         (own,) = on(backend, planes)
         found = backend.numpy(backend.bank(own, kernels))
         assert found.shape == (3, *planes.shape)
         for layer, (across, down) in zip(found, kernels, strict=True):
-            assert_array_equal(layer, backend.numpy(backend.filtered(own, across, down)))
+            alone = backend.numpy(backend.filtered(own, across, down))
+            assert_allclose(layer, alone, rtol=0, atol=ROUNDING * CODES)
 
 
 def test_planes_are_float32_and_the_backends_own(ours):

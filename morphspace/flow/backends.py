@@ -8,8 +8,9 @@ torch (`torch_backend`). Planes are (c, h, w) float32 throughout.
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from functools import cache
+from math import log, sqrt
 from types import ModuleType
 from typing import Any, Protocol
 
@@ -25,7 +26,9 @@ Planes = Any
 """(c, h, w) float32, a numpy array or a torch tensor, as the backend has it."""
 
 MEDIAN_PX = 5  # a side; OpenCV's largest for float32
+EDGE_PX = 1.5  # that a step of `edge_codes` is worth to the recursive smoother
 LARGEST_KEPT_BYTES = 2**25 - 2**13  # just under that limit, its header and rounding to pages included
+STRIP_PX = 2**14  # nine derivatives of three colours are 1.8 MB
 _CREATING = threading.Lock()
 
 
@@ -33,8 +36,10 @@ class Backend(Protocol):
     """The primitives. `xp` is the module with the arithmetic, numpy or torch."""
 
     xp: ModuleType
-    strip_px: int
-    """How many pixels are worth doing at a time where each pixel is by itself: what stays in the cache."""
+
+    def strips(self, height: int, width: int) -> Iterable[slice]:
+        """Cut a picture into rows worth doing at a time where each pixel is by itself: what stays in the cache."""
+        ...
 
     def planes(self, array: AnyArray) -> Planes:
         """Bring a numpy array to the backend as float32."""
@@ -80,6 +85,18 @@ class Backend(Protocol):
         """
         ...
 
+    def recursive_smoother(
+        self, guide: Planes, strength: float, edge_codes: float
+    ) -> Callable[[Planes], Planes]:
+        """Give the domain transform's recursive smoother (Gastal and Oliveira, ACM TOG 30(4), 2011) along a guide.
+
+        One round, rows and then columns. Where the guide is even it answers as the first of `smoother`'s rounds, whose
+        lines have the same two-sided exponential response. A step of the guide (the sum over colours, divided by the
+        root of their number) counts as `EDGE_PX` more px of distance for each `edge_codes`. Nothing is tabled: for
+        small pictures.
+        """
+        ...
+
     def middle(self, plane: Planes) -> Planes:
         """Give the median of a plane (h, w); of an even count the last is left out, so that there is a middle one."""
         ...
@@ -97,11 +114,14 @@ class OpenCVBackend:
     """The primitives on numpy arrays and OpenCV; for the CPU."""
 
     xp: ModuleType = np
-    strip_px = 2**14  # nine derivatives of three colours are 1.8 MB
 
     def __init__(self) -> None:
         """Take no options: one is as good as another."""
         _keep_freed_memory()
+
+    def strips(self, height: int, width: int) -> Iterable[slice]:
+        step = max(1, STRIP_PX // width)
+        return (slice(top, top + step) for top in range(0, height, step))
 
     def planes(self, array: AnyArray) -> AnyArray:
         return np.ascontiguousarray(array, np.float32)
@@ -110,18 +130,23 @@ class OpenCVBackend:
         return planes
 
     def filtered(self, planes: AnyArray, across: AnyArray, down: AnyArray) -> AnyArray:
-        return self.bank(planes, [(across, down)])[0]
+        out = np.empty_like(planes)
+        for plane, target in zip(planes, out, strict=True):
+            cv2.sepFilter2D(plane, cv2.CV_32F, across, down, dst=target, borderType=BORDER)
+        return out
 
     def bank(self, planes: AnyArray, kernels: Sequence[tuple[AnyArray, AnyArray]]) -> AnyArray:
         out = np.empty((len(kernels), *planes.shape), np.float32)
-        for (across, down), targets in zip(kernels, out, strict=True):
-            for plane, target in zip(planes, targets, strict=True):
-                cv2.sepFilter2D(plane, cv2.CV_32F, across, down, dst=target, borderType=BORDER)
+        for plane, targets in zip(planes, out.swapaxes(0, 1), strict=True):
+            rows: dict[int, AnyArray] = {}  # filtered across, by kernel: many share one
+            for (across, down), target in zip(kernels, targets, strict=True):
+                if id(across) not in rows:
+                    rows[id(across)] = cv2.filter2D(plane, cv2.CV_32F, across[None], borderType=BORDER)
+                cv2.filter2D(rows[id(across)], cv2.CV_32F, down[:, None], dst=target, borderType=BORDER)
         return out
 
     def sampler(self, planes: AnyArray) -> Callable[[AnyArray, AnyArray], AnyArray]:
-        read = spline_reader(planes)
-        return lambda x, y: np.stack(read(x, y))
+        return spline_reader(planes)
 
     def looked_up(self, planes: AnyArray, x: AnyArray, y: AnyArray) -> AnyArray:
         out = np.empty((len(planes), *x.shape), np.float32)
@@ -148,19 +173,16 @@ class OpenCVBackend:
         return out
 
     def smoother(self, guide: AnyArray, strength: float, edge_codes: float) -> Callable[[AnyArray], AnyArray]:
-        codes = np.clip(guide, 0, 255).astype(np.uint8)
-        picture = codes[0] if len(codes) == 1 else np.ascontiguousarray(codes.transpose(1, 2, 0))
-        own = threading.local()  # the estimator writes into itself: one for each thread
+        picture = _guide_picture(guide)
+        return _plane_by_plane(lambda: _single_striped_smoother(picture, strength, edge_codes))
 
-        def smooth(planes: AnyArray) -> AnyArray:
-            if not hasattr(own, "estimator"):
-                own.estimator = _single_striped_smoother(picture, strength, edge_codes)
-            out = np.empty_like(planes)
-            for plane, target in zip(planes, out, strict=True):
-                target[...] = own.estimator.filter(plane)  # its dst comes back unwritten
-            return out
-
-        return smooth
+    def recursive_smoother(
+        self, guide: AnyArray, strength: float, edge_codes: float
+    ) -> Callable[[AnyArray], AnyArray]:
+        picture = _guide_picture(guide)
+        space_px, colour_codes = domain_transform(strength, edge_codes, len(guide))
+        create = cv2.ximgproc.createDTFilter
+        return _plane_by_plane(lambda: create(picture, space_px, colour_codes, cv2.ximgproc.DTF_RF, 1))
 
     def middle(self, plane: AnyArray) -> AnyArray:
         values = plane.ravel()
@@ -185,6 +207,39 @@ def _keep_freed_memory() -> None:
     reserved here, never touched, and freed. Elsewhere this does nothing.
     """
     np.empty(LARGEST_KEPT_BYTES, np.uint8)
+
+
+def _guide_picture(guide: AnyArray) -> AnyArray:
+    """Give a guide, 1 or 3 planes in codes, as OpenCV's 8-bit picture."""
+    codes = np.clip(guide, 0, 255).astype(np.uint8)
+    return codes[0] if len(codes) == 1 else np.ascontiguousarray(codes.transpose(1, 2, 0))
+
+
+def _plane_by_plane(create: Callable[[], Any]) -> Callable[[AnyArray], AnyArray]:
+    """Give the function that smooths planes by one of OpenCV's estimators."""
+    own = threading.local()  # an estimator writes into itself: one for each thread
+
+    def smooth(planes: AnyArray) -> AnyArray:
+        if not hasattr(own, "estimator"):
+            own.estimator = create()
+        out = np.empty_like(planes)
+        for plane, target in zip(planes, out, strict=True):
+            target[...] = own.estimator.filter(plane)  # its dst comes back unwritten
+        return out
+
+    return smooth
+
+
+def domain_transform(strength: float, edge_codes: float, colours: int) -> tuple[float, float]:
+    """Give the domain transform's sigmas, of space (px) and of colour (codes), for a smoother's strength and edges.
+
+    A line of the global smoother at strength s answers with a^|x|, a / (1 - a)^2 = s; the recursive one of sigma H with
+    exp(-sqrt(2) |x| / H). OpenCV has no H below 1 px, that is no strength below 0.4.
+    """
+    middle = 1 + 1 / (2 * strength)
+    pole = middle - sqrt(middle**2 - 1)
+    space_px = max(1.0, sqrt(2) / -log(pole))
+    return space_px, space_px * edge_codes * sqrt(colours) / EDGE_PX
 
 
 def _single_striped_smoother(picture: AnyArray, strength: float, edge_codes: float) -> Any:

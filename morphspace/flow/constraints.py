@@ -49,7 +49,10 @@ class Channels:
     @cached_property
     def half_kernels(self) -> tuple[tuple[AnyArray, AnyArray], ...]:
         """For each derivative the kernels (n,) across and down that give half of it, in the order of `up_to`."""
-        return tuple((self.kernels[i] / 2, self.kernels[j]) for i, j in up_to(len(self.weights)))
+        halves = [
+            kernel / 2 for kernel in self.kernels
+        ]  # one object each, by which a backend sees what is shared
+        return tuple((halves[i], self.kernels[j]) for i, j in up_to(len(self.weights)))
 
     @cached_property
     def noise_floors(self) -> tuple[tuple[float, ...], ...]:
@@ -121,9 +124,7 @@ def tensor(
     change, agreement = None, 0.0
     if channels.weights[0] > 0:
         change, agreement = _light_apart(backend, frame[0] - reference[0], channels.light_codes / 2)
-    step = max(1, backend.strip_px // width)
-    for top in range(0, height, step):
-        rows = slice(top, top + step)
+    for rows in backend.strips(height, width):
         _add_constraints(
             backend,
             total[:, rows],

@@ -18,6 +18,7 @@ LEAST_DETERMINANT = (
     0.05  # a cell pressed to less of its area counts as folded: rounding must not turn it over
 )
 GENTLE = 0.47  # px from one pixel to the next; 1 - 2 x this is above `LEAST_DETERMINANT`
+BAND_PX = 16  # rows that are looked at together for steps that are not
 FIRST_SD_PX = 1.0
 GROWTH = 1.3  # of the smoothing from round to round
 ROUNDS = 14  # the last smooths over 30 px: nothing an estimator makes outlasts it
@@ -25,11 +26,23 @@ REACH_SD = 2.0  # of the smoothed neighbourhood around a folded cell
 BLURS_SD = 8.0  # two of OpenCV's Gaussians, one after the other, end there
 
 
-def _is_gentle(field: Displacement) -> bool:
-    """Tell at a glance that no cell can fold: its determinant is 1 - 2 m or more where no step exceeds m px."""
-    across = cv2.norm(field[:, 1:], field[:, :-1], cv2.NORM_INF)
-    down = cv2.norm(field[1:], field[:-1], cv2.NORM_INF)
-    return bool(max(across, down) < GENTLE)
+def _steep_rows(field: Displacement) -> slice:
+    """Give the rows outside which no cell can fold: its determinant is 1 - 2 m or more where no step exceeds m px."""
+    rows = len(field)
+    steep = [
+        top
+        for top in range(0, rows - 1, BAND_PX)
+        if max(_largest_step(field[top : top + BAND_PX + 1])) >= GENTLE  # the row below is the cells' too
+    ]
+    return slice(steep[0], min(steep[-1] + BAND_PX + 1, rows)) if steep else slice(0, 0)
+
+
+def _largest_step(field: Displacement) -> tuple[float, float]:
+    """Give the largest difference of a component between neighbours, across and down, px."""
+    return (
+        cv2.norm(field[:, 1:], field[:, :-1], cv2.NORM_INF),
+        cv2.norm(field[1:], field[:-1], cv2.NORM_INF),
+    )
 
 
 def unfolded(field: Displacement) -> Displacement:
@@ -39,10 +52,13 @@ def unfolded(field: Displacement) -> Displacement:
     `LEAST_DETERMINANT`. A field without folds comes back as it is, the same array. After `ROUNDS` rounds what still
     folds is left: a tear of some 400 px would be.
     """
-    if _is_gentle(field):
+    rows = _steep_rows(field)
+    steep = warp.determinants(field[rows]) < LEAST_DETERMINANT if rows.stop else np.zeros((0, 0), bool)
+    if not steep.any():
         return field
-    folded = warp.determinants(field) < LEAST_DETERMINANT
-    out = field.copy() if folded.any() else field
+    folded = np.zeros((field.shape[0] - 1, field.shape[1] - 1), bool)
+    folded[rows.start : rows.stop - 1] = steep
+    out = field.copy()
     sd_px = FIRST_SD_PX
     for _ in range(ROUNDS):
         if not folded.any():

@@ -49,6 +49,7 @@ LEAST_BLUR_PX = 0.3  # before scaling down
 COARSE_PX = (
     160  # the longer side of scales at which raw values lead: lips are a few px there, their colour is seen
 )
+RECURSIVE_PX = 130  # the longer side of scales that are smoothed recursively
 START_PX = 140  # the longer side up to which a start is tried; at the coarsest scale it always is
 SURROUNDINGS_PX = 1.5  # sd of the neighbourhood by which a rival is judged
 CLEARLY, CLEARLY_PX = (
@@ -85,18 +86,16 @@ def matcher(reference: Image, preset: Preset, backend: Backend) -> FlowFunction:
     """Prepare a reference (h, w, 3), and give the function that finds frames from it."""
     reference = checked_picture(reference, "the reference")
     height, width = reference.shape[:2]
-    planes = _colour_planes(reference, preset, backend)
+    planes, centre = _centred(_colour_planes(reference, preset, backend), backend)
     empty = _is_flat(planes)
     levels = [
-        _reference_level(
-            scaled, preset, backend, backend.smoother(scaled, preset.strength, preset.edge_codes)
-        )
+        _reference_level(scaled, preset, backend, _smoother(scaled + centre, preset, backend))
         for scaled in _pyramid(planes, preset, backend)
     ]
 
     def to_frame(frame: Image, start: Displacement | None = None) -> Flow:
         frame = checked_frame(reference, frame)
-        planes = _colour_planes(frame, preset, backend)
+        planes, _ = _centred(_colour_planes(frame, preset, backend), backend)
         if empty or _is_flat(planes):
             return unknown_flow(height, width)
         target = _pyramid(planes, preset, backend)
@@ -112,11 +111,27 @@ def matcher(reference: Image, preset: Preset, backend: Backend) -> FlowFunction:
     return to_frame
 
 
+def _smoother(guide: Planes, preset: Preset, backend: Backend) -> Callable[[Planes], Planes]:
+    """Give the smoother of a scale: at small ones that which has the least to prepare."""
+    small = max(guide.shape[1:]) <= RECURSIVE_PX
+    make = backend.recursive_smoother if small else backend.smoother
+    return make(guide, preset.strength, preset.edge_codes)
+
+
 def _colour_planes(image: Image, preset: Preset, backend: Backend) -> Planes:
     """Give the planes the preset compares, in codes."""
     mixing = LUMA[None] if preset.colours == "grey" else np.eye(3, dtype=np.float32)
     mixed = cv2.transform(image, mixing * np.float32(CODES))
     return backend.planes(mixed[None] if mixed.ndim == 2 else mixed.transpose(2, 0, 1))
+
+
+def _centred(planes: Planes, backend: Backend) -> tuple[Planes, Planes]:
+    """Take its median (of every fourth pixel each way) out of each plane; give it too, (c, 1, 1).
+
+    No channel needs it, and derivatives of smaller numbers are rounded less.
+    """
+    centre = backend.xp.stack([backend.middle(plane[::4, ::4]) for plane in planes])[:, None, None]
+    return planes - centre, centre
 
 
 def _is_flat(planes: Planes) -> bool:
@@ -207,7 +222,7 @@ def _trust(
     back = -field
     for _ in range(INVERSE_STEPS):
         back = -backend.looked_up(field, level.x + back[0], level.y + back[1])
-    back, _ = _refined(back_level, level.planes, back, None, WARPS_BACK, preset, backend)
+    back, _ = _refined(back_level, level.planes, back, None, WARPS_BACK, preset.rounds[-1], preset, backend)
     missed = px * (field + backend.looked_up(back, level.x + field[0], level.y + field[1]))
     return 1 / (1 + ((missed * missed).sum(0) / MISSED_PX**2) ** 2)
 
@@ -236,10 +251,12 @@ def _descend(
             field = _resized_field(field, height, width, backend)
         rival = None if start is None else _resized_field(start, height, width, backend)
         coarsest = number == len(levels) - 1
-        warps = preset.warps[-1] if coarsest else preset.warps[min(number, len(preset.warps) - 1)]
+        between = max(0, len(preset.warps) - 2)
+        warps = preset.warps[-1] if coarsest else preset.warps[min(number, between)]
+        rounds = preset.rounds[min(number, len(preset.rounds) - 1)]
         if not coarsest and max(height, width) > START_PX:
             rival = None
-        field, alike = _refined(level, target[number], field, rival, warps, preset, backend)
+        field, alike = _refined(level, target[number], field, rival, warps, rounds, preset, backend)
     return field, alike
 
 
@@ -259,6 +276,7 @@ def _refined(
     field: Planes,
     start: Planes | None,
     warps: int,
+    rounds: int,
     preset: Preset,
     backend: Backend,
 ) -> tuple[Planes, Callable[[], Planes]]:
@@ -278,7 +296,7 @@ def _refined(
         warped = half_derivatives(backend, read(x, y), preset.channels)
         constraint = tensor(backend, level.derivatives, warped, channels, tuple(target.shape))
         seen = xp.where(outside(x, y, height, width), 0.0, xp.ones_like(x))
-        moved, dual = _step(level, constraint, seen, field, dual, preset, backend)
+        moved, dual = _step(level, constraint, seen, field, dual, rounds, preset, backend)
         change, field = moved - field, backend.median(moved)
     return field, partial(_likeness, constraint, change, seen, channels, backend)
 
@@ -289,40 +307,58 @@ def _step(
     seen: Planes,
     field: Planes,
     dual: Planes,
+    rounds: int,
     preset: Preset,
     backend: Backend,
 ) -> tuple[Planes, Planes]:
     """Move the field to where the robust constraints and the smoothness agree."""
-    xp = backend.xp
     moved = field
-    off = constraint.sums[5]
     blur = _bell(preset.integration_px) if preset.integration_px else None
-    for number in range(preset.rounds):
-        if number > 0:
-            change = moved - field
-            off = constraint.residual(change[0], change[1])
-        trust = abs(off)  # rounding can bring it just below 0
-        trust += preset.robust_px**2
-        trust = seen / xp.sqrt(trust)
-        weighted = trust * constraint.sums[:5]
+    for number in range(rounds):
+        weighted = _robust(constraint, seen, moved - field if number > 0 else None, preset, backend)
         if blur is not None:
             weighted = backend.filtered(weighted, blur, blur)
-        weighted[:2] += preset.coupling
-        a, b, c = weighted[:3]
         leant = moved + dual
         smooth = _smoothed(level, leant, preset)
         dual = leant - smooth
         smooth -= dual
         smooth -= field
-        smooth *= preset.coupling
-        smooth -= weighted[3:]
-        right, down = smooth
-        moved = xp.stack([b * right, a * down])
-        moved[0] -= c * down
-        moved[1] -= c * right
-        moved /= a * b - c * c
-        moved += field
+        moved = field + _solved(weighted, smooth, preset.coupling, backend)
     return moved, dual
+
+
+def _robust(
+    constraint: Tensor, seen: Planes, change: Planes | None, preset: Preset, backend: Backend
+) -> Planes:
+    """Give the first five sums (5, h, w), weighed by how well all channels are met at a change (2, h, w) of the field.
+
+    No change stands for zero.
+    """
+    xp = backend.xp
+    out = xp.empty_like(constraint.sums[:5])
+    for rows in backend.strips(*seen.shape):
+        part = Tensor(constraint.sums[:, rows])
+        off = part.sums[5] if change is None else part.residual(*change[:, rows])
+        trust = abs(off)  # rounding can bring it just below 0
+        trust += preset.robust_px**2
+        trust = seen[rows] / xp.sqrt(trust)
+        xp.multiply(trust, part.sums[:5], out=out[:, rows])
+    return out
+
+
+def _solved(weighted: Planes, smooth: Planes, coupling: float, backend: Backend) -> Planes:
+    """Give the change (2, h, w) at which the weighted constraints and the coupling to a smooth change agree."""
+    out = backend.xp.empty_like(smooth)
+    for rows in backend.strips(*smooth.shape[1:]):
+        a, b, c, right, down = weighted[:, rows]
+        a += coupling
+        b += coupling
+        wanted = coupling * smooth[:, rows]
+        right, down = wanted[0] - right, wanted[1] - down
+        out[0, rows] = b * right - c * down
+        out[1, rows] = a * down - c * right
+        out[:, rows] /= a * b - c * c
+    return out
 
 
 def _likeness(

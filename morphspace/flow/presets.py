@@ -19,13 +19,14 @@ class Preset:
     """Everything that can be chosen about the estimator.
 
     `colours`: the planes that are compared. `finest`: the last scale, as a share of the full size (of a small picture
-    more: `multiscale.FINEST_PX`), and `factor` between scales. `warps` a scale, finest first, the last number for all
-    coarser ones and for the coarsest. `channels`: the derivatives, and `coarse_light`, the weight of order 0 at coarse
-    scales. `robust_px`: residuals above it count less and less. `integration_px`: sd over which constraints are pooled.
-    `coupling` of the pixelwise solution to the smooth field, `strength` and `edge_codes` of the smoother
+    more: `multiscale.FINEST_PX`), and `factor` between scales. `warps` a scale, finest first: the last number for the
+    coarsest, the one before it for all between. `channels`: the derivatives, and `coarse_light`, the weight of order 0
+    at coarse scales. `robust_px`: residuals above it count less and less. `integration_px`: sd over which constraints
+    are pooled. `coupling` of the pixelwise solution to the smooth field, `strength` and `edge_codes` of the smoother
     (`Backend.smoother`), `smoothings` 1 (slope costs) or 2 (bending costs). `rounds` a warp of robust weights, solution
-    and smoothing. `rivals_px`: the longer side up to which the motions of pixels near by are tried, `rival_step_px` how
-    far off. `checked_px`: the longer side at which the way back is compared (0: not at all).
+    and smoothing, by scale, finest first, the last number for all coarser ones. `rivals_px`: the longer side up to
+    which the motions of pixels near by are tried, `rival_step_px` how far off. `checked_px`: the longer side at which
+    the way back is compared (0: not at all).
     """
 
     colours: Literal["grey", "rgb"]
@@ -40,7 +41,7 @@ class Preset:
     strength: float = 30.0
     edge_codes: float = 10.0
     smoothings: Literal[1, 2] = 2
-    rounds: int = 3
+    rounds: tuple[int, ...] = (3,)
     rivals_px: int = 140
     rival_step_px: int = 3
     checked_px: int = 0
@@ -60,7 +61,7 @@ ACCURATE = Preset(
     colours="rgb",
     finest=1.0,
     factor=0.7,
-    warps=(2, 3, 4),
+    warps=(2, 3, 4, 4),
     channels=Channels(weights=(0.15, 1.0, 1.0), sd_px=0.7, noise_codes=2.0, light_codes=1.5),
     checked_px=140,
 )
@@ -72,7 +73,7 @@ BALANCED = replace(
     coupling=0.2,
     smoothings=1,
     strength=20.0,
-    rounds=2,
+    rounds=(2,),
     rivals_px=0,
     checked_px=0,
 )
@@ -87,7 +88,8 @@ FAST = replace(
     integration_px=0.5,
     coupling=0.3,
     smoothings=1,
-    strength=20.0,
+    strength=30.0,
+    rounds=(3, 2),
     rivals_px=0,
     checked_px=0,
 )

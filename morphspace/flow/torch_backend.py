@@ -8,15 +8,15 @@ GPU leaves open, so the same input gives the same bytes. No tensor here asks for
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from math import ceil, floor
+from collections.abc import Callable, Iterable, Sequence
+from math import ceil, floor, sqrt
 from types import ModuleType
 
 import numpy as np
 
 from morphspace.arrays import AnyArray
 from morphspace.errors import BadInput
-from morphspace.flow.backends import MEDIAN_PX, Planes
+from morphspace.flow.backends import MEDIAN_PX, Planes, domain_transform
 from morphspace.warp import SPLINE_POLE, SPLINE_TAPS
 
 try:
@@ -40,12 +40,14 @@ class TorchBackend:
     """The primitives on torch tensors of one device; see `Backend` for what each gives."""
 
     xp: ModuleType = torch
-    strip_px = 2**30  # the whole picture: a launch costs more than the memory
 
     def __init__(self, device: str) -> None:
         """Take a device as torch names it: "cpu", "cuda" or "cuda:1". Raises `BadInput` where there is none."""
         self.device = _checked_device(device)
         self._tables: dict[tuple[str, int, int], tuple[Planes, Planes]] = {}
+
+    def strips(self, height: int, width: int) -> Iterable[slice]:
+        return (slice(0, height),)  # the whole picture: a launch costs more than the memory
 
     def planes(self, array: AnyArray) -> Planes:
         return torch.tensor(np.ascontiguousarray(array), dtype=torch.float32, device=self.device)
@@ -116,6 +118,26 @@ class TorchBackend:
         def smooth(planes: Planes) -> Planes:
             for solve in solvers:
                 planes = solve(planes)
+            return planes
+
+        return smooth
+
+    def recursive_smoother(
+        self, guide: Planes, strength: float, edge_codes: float
+    ) -> Callable[[Planes], Planes]:
+        """See `_recursion`; axis by axis, there and back."""
+        codes = guide.clip(0, 255).floor()
+        space_px, colour_codes = domain_transform(strength, edge_codes, len(codes))
+        passes: list[Callable[[Planes], Planes]] = []
+        for axis in (ACROSS, DOWN):
+            size = codes.shape[axis] - 1
+            step = (codes.narrow(axis, 1, size) - codes.narrow(axis, 0, size)).abs().sum(0)
+            kept = torch.exp(-sqrt(2) * (1 / space_px + step / colour_codes))
+            passes += [_recursion(kept, axis, 1), _recursion(kept, axis, -1)]
+
+        def smooth(planes: Planes) -> Planes:
+            for one in passes:
+                planes = one(planes)
             return planes
 
         return smooth
@@ -323,6 +345,42 @@ def _line_solver(coupling: Planes, axis: int) -> Callable[[Planes], Planes]:
         return planes / weight
 
     return solve
+
+
+def _recursion(kept: Planes, axis: int, direction: int) -> Callable[[Planes], Planes]:
+    """Give the function that runs along every line: out_i = (1 - kept_i) u_i + kept_i out_(i - 1), or from its end.
+
+    `kept` in [0, 1] between neighbours, (h, w) less one along the axis. After a round of doubling (Hillis and Steele,
+    CACM 29, 1986) each value holds what those up to twice as far back gave it, until nothing is kept from so far.
+    """
+    first = torch.zeros_like(kept.sum(axis, keepdim=True))  # the first of a line is what it is
+    share = torch.cat([first, kept] if direction > 0 else [kept, first], axis)
+    own = 1 - share
+    size = share.shape[axis]
+    shares: list[Planes] = []
+    while (reach := 2 ** len(shares)) < size and float(share.max()) >= LEAST_COUPLING:
+        shares.append(share)
+        begin = reach if direction > 0 else 0
+        doubled = torch.zeros_like(share)
+        doubled.narrow(axis, begin, size - reach).copy_(
+            share.narrow(axis, begin, size - reach) * share.narrow(axis, reach - begin, size - reach)
+        )
+        share = doubled
+
+    def run(planes: Planes) -> Planes:
+        planes = planes * own
+        for number, part in enumerate(shares):
+            reach = 2**number
+            begin = reach if direction > 0 else 0
+            rest = size - reach
+            out = planes.clone()
+            out.narrow(axis, begin, rest).addcmul_(
+                part.narrow(axis, begin, rest), planes.narrow(axis, reach - begin, rest)
+            )
+            planes = out
+        return planes
+
+    return run
 
 
 def _taken_in(lines: Planes, share: tuple[Planes, Planes], axis: int) -> Planes:
