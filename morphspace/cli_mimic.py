@@ -14,7 +14,6 @@ if TYPE_CHECKING:
     from morphspace.verbs.outcome import Outcome
 
 FACES_MISSING = 3  # exit code: all was done, but some driving frames show no face
-DEFAULT_METHOD = "transfer"
 
 
 def gain_of(_context: click.Context, _option: click.Parameter, word: str) -> float | str:
@@ -56,10 +55,11 @@ OPTIONS = (
     ),
     click.option(
         "--method",
-        default=DEFAULT_METHOD,
+        default="auto",
         show_default=True,
-        metavar="paper|map|transfer",
-        help="paper: inner products, as published. map: B's most probable face. transfer: motion first, B's own skin.",
+        metavar="auto|paper|map|transfer|guided",
+        help="paper: inner products, as published. map: B's most probable face. transfer: motion first, B's own skin. "
+        "guided: transfer, and landmarks of both. auto: guided where both models know landmarks, else transfer.",
     ),
     click.option(
         "--gain",
@@ -75,6 +75,14 @@ OPTIONS = (
         default=3.0,
         show_default=True,
         help="Draw each loading smoothly inside so many SD, so that the picture stays a face.",
+    ),
+    click.option(
+        "--neutral",
+        default="auto",
+        show_default=True,
+        metavar="auto|mean|A_FRAME[,B_FRAME]",
+        help="What counts as rest: both means, the training frames named, or auto: where the means differ, the "
+        "frame of A nearest to B's mean.",
     ),
     click.option(
         "-k", "--components", type=int, metavar="N", help="Use only B's first components [default: all]."

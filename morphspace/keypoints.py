@@ -2,7 +2,8 @@
 
 The points lie on the mean face. They are checked here, whoever gave them; points that were marked on the reference are
 carried to the mean face through the mean shape, and points found in many faces are carried there through the warp of
-each (ours: a median over a whole clip is steadier than any single detection).
+each (ours: a median over a whole clip is steadier than any single detection). The same detections teach where the
+landmarks of a face lie for given loadings (`landmarks.learn_landmarks`).
 """
 
 from __future__ import annotations
@@ -18,6 +19,7 @@ from morphspace.arrays import Affine, AnyArray, Displacement, Image, Points
 from morphspace.errors import BadInput
 from morphspace.facepoints import POINT_COUNT
 from morphspace.faces import FaceFrame, Framing
+from morphspace.landmarks import LEAST_FACES, LandmarkRegression, learn_landmarks
 from morphspace.model import MorphModel
 from morphspace.progress import Step, Steps
 from morphspace.reference import spread
@@ -29,7 +31,7 @@ POINT_NAMES = ("right eye", "left eye", "philtrum")
 
 LEAST_EYES_PX = 4.0  # from eye to eye; below it an error of half a pixel turns the face by 7 degrees
 LEAST_DEPTH = 0.15  # of the eye distance, from the line through the eyes to the lip; faces have 0.7 to 1.2
-FACES = 40  # of a model that are looked at, evenly spread over its training frames, besides the mean
+FACES = 200  # of a model that are looked at, evenly spread over its training frames, besides the mean
 LEAST_FOUND = 3  # faces; a median of fewer is one detection
 WIDE_SPREAD = 0.05  # of the eye distance; beyond it the detections contradict each other
 
@@ -54,7 +56,8 @@ class DetectedFaceframe:
     """A faceframe found in `faces` faces of a model, of which `found` showed one to the detector.
 
     `spread_px` (3,) is the median distance of the detections from the point, each carried to the mean face; `points`
-    (n, 2) px are all that the detector finds, on the mean face.
+    (n, 2) px are all that the detector finds, on the mean face; `landmarks` is what was learned of the training faces,
+    None where the detector finds other points than the mesh's 478 or finds them in fewer than `LEAST_FACES`.
     """
 
     faceframe: FaceFrame
@@ -62,6 +65,7 @@ class DetectedFaceframe:
     points: Points
     faces: int
     found: int
+    landmarks: LandmarkRegression | None = None
 
     @property
     def origin(self) -> dict[str, Any]:
@@ -220,7 +224,7 @@ def detect_faceframe(
     """
     training = model.training.values
     rows = [np.zeros(model.rank), *(training[index] for index in spread(len(training), faces))]
-    carried = []
+    carried, seen, shown_by = [], [], []
     for number, loadings in enumerate(rows):
         morph = model.expand(loadings)
         inverse = warp.invert(morph.displacement)
@@ -228,6 +232,9 @@ def detect_faceframe(
         found = detect(face)
         if found is not None:
             carried.append(warp.move_points(inverse, np.vstack([found.faceframe().points, found.points])))
+            if number > 0:
+                seen.append(found.points)
+                shown_by.append(loadings)
         yield Step("keypoints", number + 1, len(rows))
     if len(carried) < max(LEAST_FOUND, len(rows) / 2):
         raise BadInput(
@@ -238,4 +245,20 @@ def detect_faceframe(
     points = np.median(stack, axis=0)
     spread_px = np.median(np.hypot(*np.moveaxis(stack - points, -1, 0)), axis=0)
     faceframe, _ = checked_faceframe(points[:3], model.size, "the detector")
-    return DetectedFaceframe(faceframe, spread_px[:3], points[3:], len(rows), len(carried))
+    learned = None
+    if points[3:].shape == (POINT_COUNT, 2) and len(seen) >= LEAST_FACES and model.rank > 0:
+        by_warp = moved_by_components(model, points[3:])
+        learned = learn_landmarks(np.array(shown_by), np.array(seen), model.sd, by_warp)
+    return DetectedFaceframe(faceframe, spread_px[:3], points[3:], len(rows), len(carried), learned)
+
+
+def with_detected(model: MorphModel, found: DetectedFaceframe) -> MorphModel:
+    """Give the model with the faceframe that was found, where it came from, and what was learned of its landmarks."""
+    return model.with_faceframe(found.faceframe, found.origin).with_landmarks(found.landmarks)
+
+
+def moved_by_components(model: MorphModel, points: Points) -> AnyArray:
+    """Give how far one unit of each component moves the points (n, 2) px of the mean face: (k, n, 2) px."""
+    height, width = model.mask.shape
+    fields = model.basis.components[:, 3 * height * width :].reshape(model.rank, height, width, 2)
+    return np.array([warp.move_points(np.ascontiguousarray(field), points) - points for field in fields])

@@ -5,7 +5,9 @@ The affine between the two faceframes lays the difference on the target's mean f
 much of it the target can show. `paper` takes inner products, as published. `map` asks for the most probable face of the
 target instead, and looks only where the source has something to say. `transfer`
 listens to lids, brows and lips more than to cheeks, where it knows where they are, and keeps half of the motion that
-the target's components cannot express.
+the target's components cannot express. `guided` does so too, and is told besides how far the source's lids and inner
+lips have moved from rest, as the landmark regressions of both models know it: a closing eye is a warp in one model and
+a colour in another, and only landmarks match the two by meaning.
 """
 
 from __future__ import annotations
@@ -24,15 +26,17 @@ from morphspace.errors import BadInput
 from morphspace.facepoints import LEFT_BROW, LEFT_LIDS, LIPS, RIGHT_BROW, RIGHT_LIDS
 from morphspace.flow.folds import unfolded
 from morphspace.keypoints import affine_between_models, landmarks_of, required_faceframe
+from morphspace.landmarks import LandmarkRegression, landmark_places
 from morphspace.model import MorphModel
 from morphspace.morph import Morph, MorphOffset, parts_of, vector_of
+from morphspace.posterior import Guide, InnerProducts, Solver, bounded
+from morphspace.recentring import Recentring
 from morphspace.reference import spread
 
-Method = Literal["paper", "map", "transfer"]
+Method = Literal["paper", "map", "transfer", "guided"]
 METHODS: tuple[Method, ...] = get_args(Method)
+WITH_REST: tuple[Method, ...] = ("transfer", "guided")
 MAX_SD = 3.0  # of a component, where it is not asked otherwise
-KNEE = 4.0  # how sharply the bound sets in: at a third of it a loading keeps .997 of its length
-BLOCK = 2**15  # columns of the components at a time: 26 MB of float64 for a hundred
 MISMATCH = (
     5000.0  # another person's face against what a model leaves out of its own; 20 to 5000 gave like faces
 )
@@ -42,6 +46,12 @@ FEATURE_REACH = 0.06  # sd, of the eye distance
 REST_SHARE = (
     0.5  # of the motion the components cannot express; all of it carries the source's errors over too
 )
+GUIDES = (
+    "lids",
+    "inner lips",
+)  # what models tend to say in colour; the warp knows brows, jaw and outer lips better
+GUIDE_TRUST = 1000.0  # of a landmark, beside all that the offset says; 10 moves little, 5000 gave like faces
+LEAST_ERROR_PX = 0.5  # of a landmark in one model along one axis: a smaller leave-one-out error is luck
 GAIN_FACES = 40  # of the source's training faces, evenly spread, from which `auto_gain` is taken
 GAIN_RANGE = (1.0, 3.0)
 
@@ -129,44 +139,6 @@ class Passage:
         )
 
 
-@dataclass(frozen=True, eq=False)
-class Solver:
-    """The most probable loadings given an offset seen where `weight` (5 h w,) says: the posterior of the target's
-    probabilistic PCA (Tipping and Bishop 1999), l = (P' C P + sigma^2 diag(1 / variances))^-1 P' C r, with `noise` for
-    sigma^2.
-    """
-
-    model: MorphModel
-    weight: AnyArray
-    noise: float
-
-    @cached_property
-    def gram(self) -> AnyArray:
-        """P' C P (k, k), summed over blocks of columns in float64."""
-        components = self.model.basis.components
-        total = np.zeros((len(components), len(components)))
-        inside = np.flatnonzero(self.weight)
-        for start in range(0, len(inside), BLOCK):
-            columns = inside[start : start + BLOCK]
-            block = np.asarray(components[:, columns], np.float64)
-            total += (block * self.weight[columns]) @ block.T
-        return total
-
-    @cached_property
-    def inverse(self) -> AnyArray:
-        """(P' C P + sigma^2 diag(1 / variances))^-1, (k, k)."""
-        return np.linalg.inv(self.gram + np.diag(self.noise / self.model.basis.variances))
-
-    def loadings(self, offset: AnyArray) -> LoadingVector:
-        """Give the loadings (k,) of a mean-relative vector (5 h w,)."""
-        return self.inverse @ np.asarray(self.model.basis.components @ (self.weight * offset), np.float64)
-
-
-def bounded(loadings_sd: AnyArray, max_sd: float) -> AnyArray:
-    """Give loadings (..., k) in SD drawn smoothly inside `max_sd`, each component by itself, its sign kept."""
-    return loadings_sd / (1 + np.abs(loadings_sd / max_sd) ** KNEE) ** (1 / KNEE)
-
-
 Mimic = Callable[[MorphOffset], Mimicry]
 """Turns a difference from the source's mean into a face of the target."""
 
@@ -178,11 +150,14 @@ def mimic(
     *,
     gain: float = 1.0,
     max_sd: float = MAX_SD,
+    origin: Recentring | None = None,
 ) -> Mimic:
     """Prepare a pair of models, and give the function that makes the target show what the source shows.
 
-    `gain` multiplies the loadings, `max_sd` bounds each of them (`bounded`). Raises `BadInput` for an unknown method,
-    a bound that is not positive, a model without components and where `Passage` does.
+    `gain` multiplies the loadings, `max_sd` bounds each of them (`bounded`), `origin` says from where the source's
+    faces are counted and on what they are laid, None for the means. Raises `BadInput` for an unknown method, a bound
+    that is not positive, a model without components, an origin of other models, where `Passage` does, and with
+    `guided` where a model has no landmark regression.
     """
     if method not in METHODS:
         raise BadInput(f"there is no mimicry by {method!r}: choose one of {', '.join(METHODS)}")
@@ -194,32 +169,97 @@ def mimic(
     _ = passage.affine  # models that cannot be linked are refused here
     solve = _solve_of(passage, method)
     sd = target.sd
+    from_rest, to_rest = _rests(source, target, origin)
 
     def to_target(offset: MorphOffset) -> Mimicry:
+        if from_rest is not None:
+            offset = offset - from_rest
         carried = passage.carried(offset)
         vector = vector_of(carried.texture, carried.displacement)
-        asked = gain * solve(vector)
+        asked = gain * solve(offset, vector) + to_rest
         loadings = sd * bounded(asked / sd, max_sd)
         shown = target.basis.expand(loadings)
         texture, displacement = parts_of(shown, *target.mask.shape)
         morph = target.mean + MorphOffset(displacement, texture, target.mean.reference_id)
-        if method == "transfer":
-            morph = _with_rest(passage, carried * gain, morph)
-        return Mimicry(loadings, morph, _quality(target, vector, shown, asked, loadings, morph))
+        if method in WITH_REST:
+            wanted = gain * carried.displacement
+            if to_rest.any():
+                wanted = wanted + offset_of(target, to_rest).displacement
+            morph = _with_rest(passage, wanted, morph)
+        followed = shown - target.basis.expand(to_rest) if to_rest.any() else shown
+        return Mimicry(loadings, morph, _quality(target, vector, followed, asked, loadings, morph))
 
     return to_target
 
 
-def _solve_of(passage: Passage, method: Method) -> Callable[[AnyArray], LoadingVector]:
-    """Give the function that reads loadings (k,) from a carried offset (5 h w,)."""
+def _rests(
+    source: MorphModel, target: MorphModel, origin: Recentring | None
+) -> tuple[MorphOffset | None, LoadingVector]:
+    """Give what is taken off the source's faces, and the loadings (k_B,) that are added to the target's."""
+    if origin is None:
+        return None, np.zeros(target.rank)
+    for model, loadings in ((source, origin.source), (target, origin.target)):
+        if loadings.shape != (model.rank,):
+            raise BadInput(
+                f"the origin has {len(loadings)} loadings for {model.identity}, whose model has {model.rank} "
+                "components: make it from the same models"
+            )
+    return offset_of(source, origin.source) if origin.source.any() else None, origin.target
+
+
+def _solve_of(passage: Passage, method: Method) -> Callable[[MorphOffset, AnyArray], LoadingVector]:
+    """Give the function that reads loadings (k_B,) from an offset of the source and the same carried (5 h w,)."""
     target = passage.target
     if method == "paper":
-        return lambda offset: target.basis.project(offset)
+        return lambda _, carried: target.basis.project(carried)
     seen = passage.seen.reshape(-1)
-    if method == "transfer":
+    if method in WITH_REST:
         seen = seen * feature_weights(target).reshape(-1)
     both = np.concatenate([np.repeat(seen, 3), np.repeat(seen, 2)]) * target.basis.weight
-    return Solver(target, both, MISMATCH * target.basis.discarded_variance).loadings
+    noise = MISMATCH * target.basis.discarded_variance
+    if method != "guided":
+        unguided = Solver(target, both, noise)
+        return lambda _, carried: unguided.loadings(carried)
+    guide = guide_of(passage)
+    solver = Solver(target, both, noise, guide)
+    driving = InnerProducts(passage.source, passage.source.basis.weight)
+
+    def guided(offset: MorphOffset, carried: AnyArray) -> LoadingVector:
+        loadings = driving.with_offset(vector_of(offset.texture, offset.displacement))
+        return solver.loadings(carried, loadings @ guide.asked)
+
+    return guided
+
+
+def guide_of(passage: Passage) -> Guide:
+    """Give what the landmarks of the source ask of the target's: those of `GUIDES`, from both models' regressions.
+
+    A landmark counts as its leave-one-out errors in both models allow. Raises `BadInput` where a model has no
+    regression.
+    """
+    learned = [_learned(model) for model in (passage.source, passage.target)]
+    linear = passage.affine[:, :2]
+    weights, asked, precision = [], [], []
+    for group in GUIDES:
+        places = landmark_places(group)
+        weights.append(learned[1].weights[:, places].reshape(passage.target.rank, -1))
+        asked.append((learned[0].weights[:, places] @ linear.T).reshape(passage.source.rank, -1))
+        scales = (np.sqrt(abs(np.linalg.det(linear))), 1.0)
+        errors = [
+            np.maximum(scale * one.error_px[places] / np.sqrt(2), LEAST_ERROR_PX)  # of each axis
+            for scale, one in zip(scales, learned, strict=True)
+        ]
+        precision.append(np.repeat(GUIDE_TRUST / (errors[0] ** 2 + errors[1] ** 2), 2))
+    return Guide(np.concatenate(weights, axis=1), np.concatenate(precision), np.concatenate(asked, axis=1))
+
+
+def _learned(model: MorphModel) -> LandmarkRegression:
+    if model.landmarks is None:
+        raise BadInput(
+            f"the model of {model.identity} does not know where its landmarks lie, which `guided` needs: run "
+            "`morphspace keypoints MODEL --auto` on it, or choose another method"
+        )
+    return model.landmarks
 
 
 def feature_weights(model: MorphModel) -> Mask:
@@ -241,11 +281,11 @@ def feature_weights(model: MorphModel) -> Mask:
     return 1 + np.float32(FEATURE_WEIGHT) * near
 
 
-def _with_rest(passage: Passage, carried: MorphOffset, morph: Morph) -> Morph:
-    """Add a share of the carried motion that the target's components cannot show, inside both masks, without folds."""
+def _with_rest(passage: Passage, wanted: Displacement, morph: Morph) -> Morph:
+    """Add a share of the wanted motion that the target's components cannot show, inside both masks, without folds."""
     mean = passage.target.mean
     inside = np.float32(REST_SHARE) * (passage.seen * passage.target.mask)[..., None]
-    rest = carried.displacement - (morph.displacement - mean.displacement)
+    rest = wanted - (morph.displacement - mean.displacement)
     moved = unfolded(morph.displacement + inside * rest)
     return Morph(moved, morph.texture, morph.reference_id)
 
@@ -284,7 +324,13 @@ def offset_of(model: MorphModel, loadings: AnyArray) -> MorphOffset:
     return MorphOffset(displacement, texture, model.mean.reference_id)
 
 
-def auto_gain(source: MorphModel, target: MorphModel, method: Method = "transfer") -> float:
+def auto_gain(
+    source: MorphModel,
+    target: MorphModel,
+    method: Method = "transfer",
+    *,
+    origin: Recentring | None = None,
+) -> float:
     """Give the gain at which the target moves as far as the source, on average over the source's training faces.
 
     A projection keeps what the target's components can show, so it moves less: faces come out muted. The gain is the
@@ -294,10 +340,14 @@ def auto_gain(source: MorphModel, target: MorphModel, method: Method = "transfer
     passage = Passage(source, target)
     solve = _solve_of(passage, method)
     inside = (passage.seen * target.mask)[..., None]
+    from_rest, _ = _rests(source, target, origin)
     asked, shown = 0.0, 0.0
     for index in spread(len(source.training.values), GAIN_FACES):
-        carried = passage.carried(offset_of(source, source.training.values[index]))
-        projected = offset_of(target, solve(vector_of(carried.texture, carried.displacement)))
+        offset = offset_of(source, source.training.values[index])
+        if from_rest is not None:
+            offset = offset - from_rest
+        carried = passage.carried(offset)
+        projected = offset_of(target, solve(offset, vector_of(carried.texture, carried.displacement)))
         asked += float((inside * carried.displacement**2).sum(dtype=np.float64))
         shown += float((inside * projected.displacement**2).sum(dtype=np.float64))
     if shown == 0:

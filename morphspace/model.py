@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 
 from morphspace import fitting, warp
+from morphspace.anchoring import FaceAnchor, anchor_of_build
 from morphspace.arrays import Affine, AnyArray, Displacement, Image, LoadingTable, LoadingVector, Mask
 from morphspace.basis import Basis
 from morphspace.errors import BadInput, ReferenceMismatch
@@ -27,6 +28,7 @@ from morphspace.faces import (
     rigid_region,
 )
 from morphspace.flow import FlowFunction, methods
+from morphspace.landmarks import LandmarkRegression
 from morphspace.modelfile import FORMAT, FORMAT_VERSION, content_digest, read_model_file
 from morphspace.morph import Morph, MorphOffset, morph_of, parts_of, resource, vector_of
 from morphspace.storage import digest_of_array, digest_of_json, write_container
@@ -63,7 +65,8 @@ class MorphModel:
     `mean` Morph | `basis` on vectors (5 h w,) in the order of `morph.vector_of` | `warp_weight` s, colour per px |
     `mask` (h, w) | `reference` (h, w, 3), the image all flow starts from | `mean_inverse` (h, w, 2) px, from the mean
     face to the reference | `faceframe` on the mean face, or None | `training` Loadings | `registration` and `flow`, by
-    name, as the build used them | `provenance`, a JSON document: identity, settings, versions, digests, consent.
+    name, as the build used them | `provenance`, a JSON document: identity, settings, versions, digests, consent |
+    `landmarks`, where the face's landmarks lie for given loadings, or None.
     """
 
     mean: Morph
@@ -78,6 +81,7 @@ class MorphModel:
     registration: RegistrationKind
     flow: str
     provenance: Mapping[str, Any]
+    landmarks: LandmarkRegression | None = None
 
     @property
     def model_id(self) -> str:
@@ -112,14 +116,21 @@ class MorphModel:
     @cached_property
     def flow_from_reference(self) -> FlowFunction:
         """The flow by the build's method, its reference prepared on first use and kept: the costly half is shared."""
-        return methods.for_morphs(self.flow)(self.reference)
+        find = methods.for_morphs(self.flow)(self.reference)
+        return find if self.anchor is None else self.anchor.anchored(find, *self.mask.shape)
+
+    @cached_property
+    def anchor(self) -> FaceAnchor | None:
+        """What held the build's frames to the points of the face; None where nothing did or the detector is missing."""
+        return anchor_of_build(self.reference, self.provenance)
 
     def align(self, image: Image, name: str = "image") -> Frame:
         """Bring an image (h, w, 3) of the model's size to the reference, as the build did with its frames."""
         self._check_size(image, name)
         height, width = self.mask.shape
         region = rigid_region(height, width, self.reference_faceframe)
-        return aligned(image, name, register(self.reference, image, self.registration, region))
+        start = None if self.anchor is None or self.registration == "none" else self.anchor.movement(image)
+        return aligned(image, name, register(self.reference, image, self.registration, region, start))
 
     def morph_of(self, image: Image, flow: FlowFunction | None = None) -> Morph:
         """Take an aligned image apart on the mean face: flow from the reference, re-sourced, then its texture."""
@@ -171,7 +182,8 @@ class MorphModel:
         basis = self.basis.truncate(components)
         model_id = digest_of_json([self.model_id, components])[:16]
         training = Loadings(self.training.values[:, :components], self.training.frame_names, model_id)
-        return replace(self, basis=basis, training=training)
+        landmarks = self.landmarks and self.landmarks.truncate(components, self.training.values)
+        return replace(self, basis=basis, training=training, landmarks=landmarks)
 
     def with_faceframe(self, faceframe: FaceFrame, origin: Mapping[str, Any] | None = None) -> MorphModel:
         """Give the model with this faceframe on its mean face; its loadings and its `model_id` stay.
@@ -182,6 +194,10 @@ class MorphModel:
         if origin is not None:
             provenance["keypoints"] = dict(origin)
         return replace(self, faceframe=faceframe, provenance=provenance)
+
+    def with_landmarks(self, landmarks: LandmarkRegression | None) -> MorphModel:
+        """Give the model with this regression from loadings to landmarks; its loadings and its `model_id` stay."""
+        return replace(self, landmarks=landmarks)
 
     def placed(self, rendered: Image, original: Image, registration: Affine) -> Image:
         """Put a rendered face back into the original image (H, W, 3), inside the mask, softly.
@@ -224,7 +240,19 @@ class MorphModel:
             "mask": self.mask,
             "reference": self.reference,
             "training_loadings": self.training.values,
+            **self._landmark_arrays(),
         }
+
+    def _landmark_arrays(self) -> dict[str, AnyArray]:
+        if self.landmarks is None:
+            return {}
+        learned = self.landmarks
+        arrays = {
+            "landmark_mean": learned.mean,
+            "landmark_weights": learned.weights,
+            "landmark_error": learned.error_px,
+        }
+        return {name: np.ascontiguousarray(array, np.float64) for name, array in arrays.items()}
 
     def _document(self) -> dict[str, Any]:
         return {
@@ -240,6 +268,7 @@ class MorphModel:
             "registration": self.registration,
             "flow": self.flow,
             "provenance": dict(self.provenance),
+            **({} if self.landmarks is None else {"landmarks": self.landmarks.document()}),
         }
 
 
@@ -301,6 +330,20 @@ def _assembled(arrays: Mapping[str, AnyArray], document: Mapping[str, Any]) -> M
         registration=document["registration"],
         flow=str(document["flow"]),
         provenance=dict(document["provenance"]),
+        landmarks=_landmarks(arrays, document.get("landmarks")),
+    )
+
+
+def _landmarks(arrays: Mapping[str, AnyArray], entry: Mapping[str, Any] | None) -> LandmarkRegression | None:
+    if entry is None:
+        return None
+    return LandmarkRegression(
+        np.array(arrays["landmark_mean"]),
+        np.array(arrays["landmark_weights"]),
+        np.array(arrays["landmark_error"]),
+        faces=int(entry["faces"]),
+        ridge=float(entry["ridge"]),
+        follows_warp=entry.get("toward") == "warp",
     )
 
 

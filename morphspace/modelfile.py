@@ -12,6 +12,7 @@ import numpy as np
 from morphspace.arrays import AnyArray
 from morphspace.errors import ModelFileError, UnreadableFile
 from morphspace.faces import REGISTRATION_KINDS
+from morphspace.landmarks import LANDMARKS
 from morphspace.storage import digest_of_array, digest_of_json, read_container
 
 FORMAT = "morphspace-model"
@@ -26,6 +27,11 @@ ARRAY_KINDS: Mapping[str, tuple[int, type[np.floating[Any]]]] = {
     "reference": (3, np.float32),
     "training_loadings": (2, np.float64),
 }
+OPTIONAL_ARRAY_KINDS: Mapping[str, tuple[int, type[np.floating[Any]]]] = {
+    "landmark_mean": (2, np.float64),
+    "landmark_weights": (3, np.float64),
+    "landmark_error": (1, np.float64),
+}  # all of them, with `landmarks` in the document, or none
 NOT_READ_ON_OPENING = "components"  # too large; `morphspace info` reads them and checks the digest
 MEND = "copy it again or rebuild it"
 
@@ -51,6 +57,7 @@ def read_model_file(path: Path) -> tuple[dict[str, AnyArray], dict[str, Any]]:
         )
     _check_document(path, document)
     _check_arrays(path, arrays, len(document["training_frames"]))
+    _check_landmarks(path, arrays, document.get("landmarks"))
     return arrays, document
 
 
@@ -93,6 +100,41 @@ def _check_document(path: Path, document: Mapping[str, Any]) -> None:
             )
 
 
+def _check_kinds(
+    path: Path, arrays: Mapping[str, AnyArray], kinds: Mapping[str, tuple[int, type[np.floating[Any]]]]
+) -> None:
+    for name, (dimensions, kind) in kinds.items():
+        if name not in arrays or arrays[name].ndim != dimensions or arrays[name].dtype != kind:
+            found = f"{arrays[name].dtype} {arrays[name].shape}" if name in arrays else "nothing"
+            raise ModelFileError(
+                f"{path}: {name} should be {np.dtype(kind)} with {dimensions} axes, found {found}; {MEND}"
+            )
+
+
+def _check_landmarks(path: Path, arrays: Mapping[str, AnyArray], entry: Any) -> None:
+    """Check the regression from loadings to landmarks, where the file has one."""
+    if entry is None and not set(OPTIONAL_ARRAY_KINDS) & set(arrays):
+        return
+    _check_kinds(path, arrays, OPTIONAL_ARRAY_KINDS)
+    whole = isinstance(entry, dict) and entry.get("places") == list(LANDMARKS)
+    if not (whole and _is_number(entry.get("ridge")) and type(entry.get("faces")) is int):
+        raise ModelFileError(
+            f"{path}: its landmarks are not the {len(LANDMARKS)} that this morphspace reads: run `morphspace keypoints "
+            "MODEL --auto` again with the morphspace that wrote it, or build it anew"
+        )
+    count, k = len(LANDMARKS), len(arrays["variances"])
+    expected = {
+        "landmark_mean": (count, 2),
+        "landmark_weights": (k, count, 2),
+        "landmark_error": (count,),
+    }
+    for name, shape in expected.items():
+        if arrays[name].shape != shape:
+            raise ModelFileError(f"{path}: {name} has shape {arrays[name].shape}, {shape} expected; {MEND}")
+    if (arrays["landmark_error"] < 0).any():
+        raise ModelFileError(f"{path}: its landmark errors are not all at least 0; {MEND}")
+
+
 def _is_number(value: Any) -> bool:
     return isinstance(value, (int, float)) and not isinstance(value, bool) and bool(np.isfinite(value))
 
@@ -128,12 +170,7 @@ def _is_provenance(value: Any) -> bool:
 
 
 def _check_arrays(path: Path, arrays: Mapping[str, AnyArray], frames: int) -> None:
-    for name, (dimensions, kind) in ARRAY_KINDS.items():
-        if name not in arrays or arrays[name].ndim != dimensions or arrays[name].dtype != kind:
-            found = f"{arrays[name].dtype} {arrays[name].shape}" if name in arrays else "nothing"
-            raise ModelFileError(
-                f"{path}: {name} should be {np.dtype(kind)} with {dimensions} axes, found {found}; {MEND}"
-            )
+    _check_kinds(path, arrays, ARRAY_KINDS)
     height, width = arrays["mask"].shape
     k = len(arrays["variances"])
     expected = {

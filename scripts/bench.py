@@ -30,6 +30,7 @@ import bench_flow_time
 import bench_landmarks
 import bench_mimicry
 import bench_mimicry_drawn
+import bench_mimicry_speed
 import bench_quality
 import bench_speed
 import bench_video
@@ -55,12 +56,14 @@ FLOW_SECTIONS = (
 DATA_SECTIONS = (
     "roundtrip",
     "heldout",
+    "heldout-landmarks",
     "landmarks",
     "ceiling",
     "build",
     "memory",
     "detection",
     "mimicry",
+    "mimicry-speed",
     *FLOW_SECTIONS,
 )
 OTHER_SECTIONS = ("pca", "render", "open", "warp", "help", "video", "mimicry-drawn")
@@ -90,6 +93,8 @@ def run(section: str, arguments: argparse.Namespace, work: Path) -> None:
         bench_quality.round_trip(data, clips, work)
     elif section == "heldout":
         bench_quality.held_out(data, clips, work)
+    elif section == "heldout-landmarks":
+        bench_quality.with_landmarks(data, clips, work)
     elif section == "landmarks":
         bench_landmarks.landmarks(data, clips, work, arguments.judge)
     elif section == "ceiling":
@@ -119,6 +124,8 @@ def run(section: str, arguments: argparse.Namespace, work: Path) -> None:
         bench_detection.detection(data, work, arguments.judge)
     elif section == "mimicry":
         bench_mimicry.mimicry(data, work, arguments.face_judge)
+    elif section == "mimicry-speed":
+        bench_mimicry_speed.mimicry_speed(data, work, rounds)
     elif section == "mimicry-drawn":
         bench_mimicry_drawn.mimicry_drawn(work)
     elif section == "video":

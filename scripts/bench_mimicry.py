@@ -12,9 +12,14 @@ import face_judge_runner
 import judge_measures
 import numpy as np
 from bench_tables import print_table, tell
+from scipy.interpolate import RBFInterpolator
 
-from morphspace.detection import load_detector
+from morphspace import warp
+from morphspace.detection import Detector, load_detector
+from morphspace.errors import BadInput
+from morphspace.facepoints import MESH_COUNT
 from morphspace.files.images import write_image
+from morphspace.keypoints import affine_between_models, landmarks_of
 from morphspace.mimic import MAX_SD, METHODS, Method, mimic, offset_of
 from morphspace.model import MorphModel, load_model
 from morphspace.progress import result_of
@@ -33,8 +38,12 @@ PAIRS = (
 WAYS: dict[str, tuple[Method, float, float]] = {
     **{method: (method, 1.0, MAX_SD) for method in METHODS},
     "transfer, gain 1.4, 5 SD": ("transfer", 1.4, 5.0),
+    "guided, 5 SD": ("guided", 1.0, 5.0),
+    "guided, gain 1.2, 5 SD": ("guided", 1.2, 5.0),
 }
 """By name: method, gain, bound in SD."""
+SPLINE = "spline"
+SPLINE_STIFFNESS = 1.0  # px^2; the detector's points jitter
 SIZE = (200, 240)
 COMPONENTS = 50
 FRAMES = 24  # of each source, evenly spread
@@ -52,18 +61,25 @@ def mimicry(data: Path, work: Path, judge: str) -> None:
         "r / slope of the mimicry on the source; then their means, the distance of the identity embedding to the "
         "target and to the source (one person: below .6), and folded cells. Goals: mean r >= "
         f"{GOAL_R}, no pair below {LEAST_R}, slope {GOAL_SLOPES[0]} to {GOAL_SLOPES[1]}, identity <= {GOAL_IDENTITY}, "
-        f"folds <= {GOAL_FOLDS} %.\n"
+        f"folds <= {GOAL_FOLDS} %. {SPLINE}: what one would do today, the target's mean face warped by a thin-plate "
+        "spline through the source's landmarks, found in each driving face and carried by the affine.\n"
     )
-    models = {name: _model(data, name, work) for name in sorted({name for pair in PAIRS for name in pair})}
+    models = {
+        name: keyed_model(data, name, work) for name in sorted({name for pair in PAIRS for name in pair})
+    }
     readings = {name: _read(judge, _drawn(model, work / "mimicry" / name)) for name, model in models.items()}
     heads = ["way", "pair", *(name.replace("_", " ") for name in judge_measures.MEASURES)]
     rows = []
-    for way in WAYS:
+    detect = load_detector()
+    for way in (*WAYS, SPLINE):
         means = []
         for source, target in PAIRS:
-            folder, folds = _driven(
-                models[source], models[target], way, work / "mimicry" / f"{way}-{source}-{target}"
-            )
+            name = f"{way}-{source}-{target}".replace(".", "_")  # the judge replaces a suffix
+            folder = work / "mimicry" / name
+            if way == SPLINE:
+                folder, folds = _splined(models[source], models[target], detect, folder)
+            else:
+                folder, folds = _driven(models[source], models[target], way, folder)
             made, true = _read(judge, folder), readings[source]
             here, there = judge_measures.paired(true, made)
             both = judge_measures.mimicry(
@@ -108,13 +124,15 @@ def mimicry(data: Path, work: Path, judge: str) -> None:
     print_table([*heads, "mean", "to target", "to source", "folds %"], rows)
 
 
-def _model(data: Path, name: str, work: Path) -> MorphModel:
+def keyed_model(data: Path, name: str, work: Path) -> MorphModel:
+    """Give the model of a clip with keypoints, as the pairs are made of; it is kept in the work folder."""
     path = work / "mimicry" / f"{name}.morph"
     if not path.exists():
         tell(f"mimicry: building {name}")
         path.parent.mkdir(parents=True, exist_ok=True)
         frames = data / "sequences" / name / "frames" / "*.jpg"
         build_model(frames, components=COMPONENTS, size=SIZE, identity=name).save(path)
+    if load_model(path).landmarks is None:
         result_of(keypoints.run(keypoints.KeypointsRequest(path, automatic=True), load_detector()))
     return load_model(path)
 
@@ -134,6 +152,33 @@ def _driven(source: MorphModel, target: MorphModel, way: str, folder: Path) -> t
         made = to_target(offset_of(source, source.training.values[index]))
         folds.append(made.quality.folds)
         write_image(folder / f"{index:04d}.png", np.clip(made.morph.render(), 0, 1))
+    return folder, float(np.mean(folds))
+
+
+def _splined(source: MorphModel, target: MorphModel, detect: Detector, folder: Path) -> tuple[Path, float]:
+    """Warp the target's mean face by the source's landmarks; give the folder and the mean share of folded cells."""
+    linear = affine_between_models(source, target)[:, :2]
+    fixed, rest = landmarks_of(target), landmarks_of(source)
+    if fixed is None or rest is None:
+        raise BadInput("the spline needs mesh points on both mean faces: run keypoints --auto on both")
+    fixed, rest = fixed[:MESH_COUNT], rest[:MESH_COUNT]
+    width, height = target.size
+    border = np.array([(x, y) for x in (0, width / 2, width - 1) for y in (0, height / 2, height - 1)])
+    border = border[[0, 1, 2, 3, 5, 6, 7, 8]]
+    grid = np.stack(np.meshgrid(np.arange(width), np.arange(height)), axis=-1).reshape(-1, 2).astype(float)
+    folds = []
+    for index in spread(len(source.training.values), FRAMES):
+        found = detect(np.clip(source.render(source.training.values[index]), 0, 1))
+        moved = np.zeros_like(fixed) if found is None else (found.points[:MESH_COUNT] - rest) @ linear.T
+        through = RBFInterpolator(
+            np.vstack([fixed, border]),
+            np.vstack([moved, np.zeros_like(border)]),
+            smoothing=SPLINE_STIFFNESS,
+            kernel="thin_plate_spline",
+        )
+        field = through(grid).reshape(height, width, 2).astype(np.float32)
+        folds.append(warp.fold_fraction(field, target.mask))
+        write_image(folder / f"{index:04d}.png", np.clip(warp.render(target.mean.render(), field), 0, 1))
     return folder, float(np.mean(folds))
 
 

@@ -11,27 +11,38 @@ from morphspace.errors import BadInput
 from morphspace.facepoints import LIPS, POINT_COUNT
 from morphspace.faces import FaceFrame
 from morphspace.keypoints import DetectedFaceframe, landmarks_of
+from morphspace.landmarks import LANDMARKS, LandmarkRegression, landmark_places
 from morphspace.mimic import (
     FEATURE_WEIGHT,
     GAIN_RANGE,
+    GUIDES,
     METHODS,
     Passage,
-    Solver,
     auto_gain,
-    bounded,
     feature_weights,
+    guide_of,
     mimic,
     offset_of,
 )
 from morphspace.model import MorphModel
 from morphspace.morph import MorphOffset, vector_of
+from morphspace.posterior import Guide, Solver, bounded
+from morphspace.recentring import Recentring
 
 FRAME = FaceFrame((20.0, 30.0), (41.0, 29.0), (30.0, 44.0))
 
 
+def knowing(model, seed=7, error_px=1.0):
+    """The model with a regression to landmarks, drawn at random: some px per SD of each component."""
+    per_sd = np.random.default_rng(seed).standard_normal((model.rank, len(LANDMARKS), 2))
+    weights = per_sd / model.sd[:, None, None]
+    mean, errors = np.full((len(LANDMARKS), 2), 30.0), np.full(len(LANDMARKS), error_px)
+    return model.with_landmarks(LandmarkRegression(mean, weights, errors, 12, 1.0, False))
+
+
 @pytest.fixture
 def person(model):
-    return model.with_faceframe(FRAME)
+    return knowing(model.with_faceframe(FRAME))
 
 
 def turned(model, degrees, scale=1.0):
@@ -159,7 +170,7 @@ def test_the_automatic_gain_undoes_a_muted_target(person):
 def test_what_cannot_be_driven_is_refused(model, person):
     with pytest.raises(BadInput, match="morphspace keypoints"):
         mimic(model, person)
-    with pytest.raises(BadInput, match="choose one of paper, map, transfer"):
+    with pytest.raises(BadInput, match="choose one of paper, map, transfer, guided"):
         mimic(person, person, "magic")
     for bad in ({"max_sd": 0.0}, {"max_sd": np.nan}, {"gain": np.inf}):
         with pytest.raises(BadInput, match="cannot be used"):
@@ -180,3 +191,90 @@ def test_lids_brows_and_lips_weigh_more_where_they_are_known(person):
     assert weights[50, 30] == pytest.approx(1 + FEATURE_WEIGHT, rel=1e-3)
     assert weights[10, 30] == pytest.approx(1, abs=1e-3)
     assert landmarks_of(person.with_faceframe(FRAME, {"source": "set"})) is None
+
+
+# landmarks
+
+
+def test_the_guided_posterior_is_the_dense_formula(person):
+    rng = np.random.default_rng(1)
+    weight = rng.random(person.basis.weight.size).astype(np.float32)
+    offset = rng.standard_normal(weight.size).astype(np.float32)
+    guide = Guide(rng.standard_normal((person.rank, 8)), rng.random(8), np.zeros((person.rank, 8)))
+    moved = rng.standard_normal(8)
+    components = np.asarray(person.basis.components, np.float64)
+    noise = 0.3
+    known = (components * weight) @ components.T / noise + np.diag(1 / person.basis.variances)
+    known += (guide.weights * guide.precision) @ guide.weights.T
+    told = components @ (weight * offset) / noise + guide.weights @ (guide.precision * moved)
+    found = Solver(person, weight, noise, guide).loadings(offset, moved)
+    assert_allclose(found, np.linalg.solve(known, told), rtol=1e-4, atol=1e-6)
+
+
+def test_landmarks_turn_and_scale_with_the_face(person):
+    target, linear = turned(person, 20.0, 1.2)
+    guide = guide_of(Passage(person, target))
+    loadings = faces(person)[2]
+    places = [place for group in GUIDES for place in range(*landmark_places(group).indices(len(LANDMARKS)))]
+    expected = person.landmarks.moved(loadings)[places] @ linear.T
+    assert_allclose((loadings @ guide.asked).reshape(-1, 2), expected, atol=1e-9)
+
+
+def test_landmarks_that_err_more_count_less(person):
+    sure, unsure = (guide_of(Passage(person, knowing(person, error_px=error))) for error in (1.0, 4.0))
+    assert_allclose(unsure.precision, sure.precision * 2 / 17)
+
+
+def test_what_only_the_landmarks_tell_reaches_the_target(person):
+    """A source whose components say nothing of a motion the target has: its landmarks ask for it all the same."""
+    told = replace(
+        person, basis=replace(person.basis, discarded_variance=1e-3)
+    )  # another person's face differs
+    weights = np.zeros_like(told.landmarks.weights)
+    weights[2] = told.landmarks.weights[0]  # the source's third component closes what the target's first does
+    source = told.with_landmarks(replace(told.landmarks, weights=weights))
+    target_weights = np.zeros_like(weights)
+    target_weights[0] = told.landmarks.weights[0]
+    target = told.with_landmarks(replace(told.landmarks, weights=target_weights))
+    asked = offset_of(source, np.array([0.0, 0.0, 1.0]) * source.sd)
+    plain, guided = (mimic(source, target, method)(asked).loadings for method in ("transfer", "guided"))
+    assert abs(plain[0]) < 0.1 * target.sd[0] < 0.3 * target.sd[0] < guided[0]
+
+
+def test_without_a_regression_the_command_is_named(person):
+    bare = person.with_landmarks(None)
+    for source, target in ((bare, person), (person, bare)):
+        with pytest.raises(BadInput, match=r"drawn .*morphspace keypoints MODEL --auto"):
+            mimic(source, target, "guided")
+
+
+# rest
+
+
+def resting(person, source, target):
+    return Recentring(source, target, "a", "b", None, None)
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_the_source_at_rest_gives_the_target_at_rest(person, method):
+    from_source, from_target = faces(person)[3], faces(person)[5]
+    origin = resting(person, from_source, from_target)
+    made = mimic(person, person, method, max_sd=1e3, origin=origin)(offset_of(person, from_source))
+    assert_allclose(made.loadings, from_target, atol=1e-5)
+    apart = np.abs(made.morph.render() - person.render(from_target))
+    assert np.quantile(apart, 0.99) < 0.02
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_one_neutral_frame_for_both_changes_nothing_between_equal_models(person, method):
+    rest = faces(person)[3]
+    offset = offset_of(person, faces(person)[1])
+    plain = mimic(person, person, method, max_sd=1e3)(offset).loadings
+    moved = mimic(person, person, method, max_sd=1e3, origin=resting(person, rest, rest))(offset).loadings
+    assert_allclose(moved, plain, atol=0.05 * np.abs(faces(person)).max())
+
+
+def test_an_origin_of_other_models_is_refused(person):
+    origin = resting(person, np.zeros(5), np.zeros(person.rank))
+    with pytest.raises(BadInput, match="5 loadings for drawn, whose model has 3"):
+        mimic(person, person, origin=origin)

@@ -2,7 +2,6 @@
 
 import dataclasses
 import gc
-import inspect
 import json
 import shutil
 import weakref
@@ -12,7 +11,6 @@ import pytest
 from click.testing import CliRunner
 from numpy.testing import assert_allclose
 
-from morphspace import cli_mimic
 from morphspace.basis import fit_basis
 from morphspace.cli import main
 from morphspace.errors import BadInput, UnreadableFile, UnwritableFile
@@ -27,22 +25,25 @@ from morphspace.facepoints import (
 from morphspace.faces import FaceFrame, face_mask
 from morphspace.files.images import read_image, write_image
 from morphspace.files.tables import read_loadings_table, read_metrics_table
-from morphspace.files.video import video_info, write_video
-from morphspace.mimic import METHODS, Quality, auto_gain, mimic
+from morphspace.files.video import video_info
+from morphspace.mimic import METHODS, Quality, auto_gain, mimic, offset_of
 from morphspace.model import Loadings, MorphModel, inner_product, load_model, model_digest
 from morphspace.morph import Morph, parts_of, vector_of
 from morphspace.progress import WORKERS, result_of
-from morphspace.report.mimic_page import HEADINGS
+from morphspace.recentring import Recentring
+from morphspace.report.mimic_page import HEADINGS, LEFT_OUT
 from morphspace.rows import RowArray
 from morphspace.verbs import mimic as verb
-from morphspace.verbs import mimic_frames, mimic_sources
+from morphspace.verbs import mimic_frames, mimic_neutral, mimic_sources
 from morphspace.verbs.mimic import MimicRequest
 from morphspace.verbs.mimic_frames import FinishedFrames, frame_steps
+from morphspace.verbs.mimic_reach import Reach, reach_of
 from morphspace.verbs.mimic_sources import Driver
-from morphspace.verbs.mimic_table import COLUMNS, FaceSeen, FrameMade, made_of
+from morphspace.verbs.mimic_table import COLUMNS, OUT_OF_RANGE, FaceSeen, FrameMade, made_of
 
 ROUNDING = 0.51 / 255  # of an 8-bit file
 LOOSE = 1000.0  # SD; a bound that bounds nothing here
+UNGUIDED = tuple(method for method in METHODS if method != "guided")  # which wants landmarks of both models
 
 
 @pytest.fixture(autouse=True)
@@ -155,7 +156,7 @@ def test_a_clip_drives_itself_back(work, actor):
     assert video_info(work / "out" / "side-by-side.mp4").frame_rate_hz == 20
 
 
-@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("method", UNGUIDED)
 def test_gain_0_is_the_mean_of_the_target(work, other, method):
     run(work, gain=0.0, method=method)
     mean = np.clip(other.mean.render(), 0, 1)
@@ -194,8 +195,8 @@ def test_every_column_of_quality_is_described(work):
     table = read_metrics_table(work / "out" / "quality.csv")
     told = json.loads((work / "out" / "quality.json").read_text())
     assert list(table) == list(COLUMNS) and set(told["columns"]) == set(table)
-    fields = {entry.name for entry in dataclasses.fields(Quality)}
-    assert fields <= set(COLUMNS) and fields <= set(HEADINGS)
+    fields = {entry.name for kind in (Quality, Reach) for entry in dataclasses.fields(kind)}
+    assert fields <= set(COLUMNS) and fields == set(HEADINGS) - {"yaw_deg", "pitch_deg"} | set(LEFT_OUT)
 
 
 def test_the_same_request_gives_the_same_bytes(work):
@@ -271,7 +272,7 @@ def test_a_long_clip_holds_a_few_frames_at_a_time(work, actor, other):
     driver = Driver("long", names, names, {}, None, given, offset, lambda image: image)
     pictures = tuple(work / "frames" / f"{name}.png" for name in names)
     finished = FinishedFrames(work / "work", [], driver, pictures)
-    made = result_of(frame_steps(actor, mimic(actor, other), finished, None))
+    made = result_of(frame_steps(actor, mimic(actor, other), reach_of(actor, other, 1.0), finished, None))
     gc.collect()
     assert len(made) == total and alive[0] <= 1
     result_of(mimic_frames.video_steps(driver, pictures, work / "v.mp4"))
@@ -329,19 +330,70 @@ def test_little_motion_kept_is_said(work, actor):
     assert not any("of the motion's energy" in note for note in run(work, components=1, gain=0.0).warnings)
 
 
-def test_pictures_of_an_earlier_run_are_said(work, picture):
-    (work / "out" / "frames").mkdir(parents=True)
-    write_image(work / "out" / "frames" / "old.png", picture(8, 8))
-    assert any("holds 1 other pictures, such as old.png" in note for note in run(work).warnings)
+def test_pictures_of_an_earlier_run_are_said(work, actor):
+    run(work)
+    given = clip(work, actor, 0.5 * actor.training.values[:2])
+    notes = run(work, frames=given).warnings
+    assert any("holds 12 other pictures, such as frame_000.png" in note for note in notes)
+
+
+@pytest.mark.parametrize("name", ["frames/old.png", "loadings.csv", "index.html", "side-by-side.mp4"])
+def test_what_no_run_of_mimic_wrote_is_neither_replaced_nor_mixed(work, name):
+    mine = work / "out" / name
+    mine.parent.mkdir(parents=True)
+    mine.write_text("mine")
+    with pytest.raises(BadInput, match="no folder of an earlier mimic") as refusal:
+        run(work)
+    assert name.split("/")[0] in str(refusal.value) and "\n" not in str(refusal.value)
+    assert [path for path in (work / "out").rglob("*") if path.is_file()] == [mine]
+    assert mine.read_text() == "mine"
+
+
+def test_a_folder_of_another_verb_is_not_taken_for_ours_and_other_files_may_lie_there(work):
+    (work / "out").mkdir()
+    (work / "out" / "notes.txt").write_text("mine")
+    run(work)
+    assert (work / "out" / "notes.txt").read_text() == "mine"
+    (work / "out" / "record.json").write_text(json.dumps({"format": "morphspace-record", "verb": "render"}))
+    with pytest.raises(BadInput, match="no folder of an earlier mimic"):
+        run(work)
 
 
 def test_an_out_of_range_frame_is_flagged_and_stays_inside_the_bound(work):
-    run(work, target="a", method="paper", gain=2.5)
-    table = read_metrics_table(work / "out" / "quality.csv")
-    asked = np.array(table["largest_sd"])
-    assert (asked > 4).any() and (asked < 4).any()
-    assert [("out-of-range" in words) for words in table["flags"]] == (asked > 4).tolist()
+    for gain in (0.2, 8.0):
+        run(work, target="a", method="paper", gain=gain)
+        table = read_metrics_table(work / "out" / "quality.csv")
+        missing = np.array(table["missing_motion"])
+        assert [("out-of-range" in words) for words in table["flags"]] == (missing > OUT_OF_RANGE).tolist()
+        assert (missing > OUT_OF_RANGE).any() == (gain > 1)
     assert np.abs(read_loadings_table(work / "out" / "loadings.csv").loadings_sd).max() < 3
+
+
+def test_what_a_target_cannot_show_is_missing_and_oneself_misses_nothing(work, actor):
+    offset = offset_of(actor, actor.training.values[2])
+    own = reach_of(actor, actor, 1.0)(offset, mimic(actor, actor, "paper", max_sd=LOOSE)(offset))
+    assert own.missing_motion < 0.01 and own.colour_agreement == pytest.approx(1, abs=0.02)
+    still = reach_of(actor, actor, 1.0)(offset, mimic(actor, actor, gain=0.0)(offset))
+    lengths = np.hypot(*np.moveaxis(offset.displacement[actor.mask > 0.9], -1, 0))
+    assert still.missing_motion == pytest.approx(np.quantile(lengths, 0.95) / 20, rel=0.3)
+    assert still.colour_agreement == 0
+    anti = reach_of(actor, actor, 1.0)(offset, mimic(actor, actor, "paper", gain=-1.0, max_sd=LOOSE)(offset))
+    assert anti.colour_agreement == pytest.approx(-own.colour_agreement, abs=0.02)
+    assert anti.missing_motion == pytest.approx(2 * still.missing_motion, rel=0.05)
+    asked = reach_of(actor, actor, -1.0)(
+        offset, mimic(actor, actor, "paper", gain=-1.0, max_sd=LOOSE)(offset)
+    )
+    assert asked.missing_motion < 0.01
+
+
+def test_negative_shares_stand_in_the_file_and_read_as_none_on_the_page(work):
+    run(work, target="a", method="paper", gain=-1.0, max_sd=LOOSE)
+    table = read_metrics_table(work / "out" / "quality.csv")
+    assert max(table["warp_kept"]) < 0 and max(table["texture_kept"]) < 0
+    page = (work / "out" / "index.html").read_text()
+    first = page[page.index("<dl") : page.index("</dl>")]
+    assert "<dd>0%</dd>" in first and "-" not in first.split("motion")[0].split("<dd>")[-1]
+    assert "colour kept" not in page
 
 
 def test_a_model_is_built_of_a_clip_and_found_again(work, actor, monkeypatch):
@@ -382,13 +434,19 @@ def test_a_model_without_keypoints_says_the_command(work, model):
 @pytest.mark.parametrize(
     ("more", "words"),
     [
-        ({"method": "magic"}, "no mimicry by 'magic': choose one of"),
+        ({"method": "magic"}, "no mimicry by 'magic': choose auto, or one of"),
         ({"gain": float("nan")}, "a gain of nan"),
         ({"gain": float("inf")}, "a gain of inf"),
         ({"max_sd": 0.0}, "a bound of 0.0 SD"),
         ({"max_sd": float("nan")}, "a bound of nan SD"),
         ({"components": 3}, "cannot mimic with 3 components, other has 2: choose 1 to 2"),
         ({"components": 0}, "0 components"),
+        ({"method": "guided"}, "morphspace keypoints MODEL --auto"),
+        ({"neutral": "a,b,c"}, "--neutral 'a,b,c'"),
+        ({"neutral": ""}, "--neutral ''"),
+        ({"neutral": "auto,frame_001"}, "--neutral 'auto,frame_001'"),
+        ({"neutral": "nowhere"}, "no training frame 'nowhere'"),
+        ({"neutral": "mean,nowhere"}, "no training frame 'nowhere'"),
         ({"source": "missing"}, "missing.morph"),
     ],
 )
@@ -414,17 +472,27 @@ def test_a_file_where_the_folder_should_be_is_refused(work):
 
 
 def test_inputs_are_never_written_over(work, actor):
-    place = work / "out"
-    place.mkdir()
-    given = clip(place, actor, actor.training.values[:3], name="frames")
-    before = {path: path.read_bytes() for path in (place / "frames").iterdir()}
+    run(work)
+    frames = work / "out" / "frames"
+    before = {path: path.read_bytes() for path in frames.iterdir()}
     with pytest.raises(BadInput, match="one of the inputs"):
-        run(work, frames=given)
-    assert {path: path.read_bytes() for path in (place / "frames").iterdir()} == before
-    video = place / "side-by-side.mp4"
-    write_video(video, [read_image(path) for path in before if path.suffix == ".png"])
+        run(work, frames=str(frames))
     with pytest.raises(BadInput, match="one of the inputs"):
-        run(work, frames=str(video))
+        run(work, frames=str(work / "out" / "side-by-side.mp4"))
+    assert {path: path.read_bytes() for path in frames.iterdir()} == before
+
+
+def test_a_refusal_leaves_no_folder_behind(work, actor, other):
+    origin = {"source": "set", "lip": "upper-lip"}
+    other.with_faceframe(FaceFrame((16.0, 22.0), (32.0, 22.0), (24.0, 36.0)), origin).save(work / "lip.morph")
+    for more in ({"target": "lip"}, {"neutral": "nowhere"}, {"frames": str(work / "none")}):
+        with pytest.raises(BadInput):
+            run(work, output=work / "deep" / "out", **more)
+        assert not (work / "deep").exists()
+    (work / "deep" / "out").mkdir(parents=True)
+    with pytest.raises(BadInput):
+        run(work, output=work / "deep" / "out", target="lip")
+    assert (work / "deep" / "out").is_dir() and not any((work / "deep" / "out").iterdir())
 
 
 def test_a_damaged_driving_frame_is_named_and_leaves_no_record(work, actor):
@@ -439,15 +507,21 @@ def test_a_damaged_driving_frame_is_named_and_leaves_no_record(work, actor):
 @pytest.mark.parametrize("face", [None, FaceSeen(False), FaceSeen(True, True, 31.5, -2 / 3)])
 def test_a_finished_frame_reads_back_bit_equal(face):
     quality = Quality(*(1 / (3 + place) for place in range(len(dataclasses.fields(Quality)))))
-    document = FrameMade((0.1, -1 / 3), quality, face, 3, "ab").document()
+    document = FrameMade((0.1, -1 / 3), quality, Reach(1 / 7, -1 / 11), face, 3, "ab").document()
     assert made_of(json.loads(json.dumps(document))).document() == document
 
 
-def test_the_method_by_default_is_one_everywhere():
-    of_mimic = inspect.signature(mimic).parameters["method"].default
-    assert verb.DEFAULT_METHOD == cli_mimic.DEFAULT_METHOD == of_mimic
-    metavar = next(p.metavar for p in main.commands["mimic"].params if p.name == "method")
-    assert metavar.split("|") == list(METHODS)
+def test_the_words_of_methods_are_the_methods():
+    option = next(p for p in main.commands["mimic"].params if p.name == "method")
+    assert option.metavar.split("|") == [verb.BEST, *METHODS]
+    assert option.default == verb.BEST == verb.MimicRequest("a", "b", None).method
+
+
+def test_the_method_is_guided_only_where_both_know_their_landmarks(work):
+    outcome = run(work)
+    assert json.loads((work / "out" / "quality.json").read_text())["method"] == "transfer"
+    assert any("morphspace keypoints MODEL --auto" in note for note in outcome.warnings)
+    assert not any("method is" in note for note in run(work, method="transfer").warnings)
 
 
 def test_the_command_line_exits_3_where_a_frame_shows_no_face(work, monkeypatch, actor):
@@ -483,6 +557,67 @@ def test_the_automatic_gain_is_found_and_told(work, other):
     told = json.loads((work / "out" / "record.json").read_text())["settings"]
     expected = auto_gain(load_model(work / "a.morph"), other.truncate(1))
     assert told["gain"] == pytest.approx(expected)
+
+
+def test_named_resting_frames_show_each_other(work, actor, other):
+    """The source's neutral frame becomes the target's, and the rest follows from there."""
+    outcome = run(work, neutral="frame_003,o_02", method="paper", max_sd=LOOSE)
+    found = read_loadings_table(work / "out" / "loadings.csv")
+    assert_allclose(found.loadings_sd[3], other.training.values[2] / other.sd, atol=1e-5)
+    assert any(
+        "source is re-centred on frame frame_003 of drawn and the target is re-centred on frame o_02 of other"
+        in n
+        for n in outcome.warnings
+    )
+    missing = read_metrics_table(work / "out" / "quality.csv")["missing_motion"]
+    assert missing[3] < 1e-6 and min(missing[:3]) > 1e-3
+    kept = read_metrics_table(work / "out" / "quality.csv")["warp_kept"]
+    run(work, neutral="frame_003", method="paper", max_sd=LOOSE)
+    assert_allclose(read_metrics_table(work / "out" / "quality.csv")["warp_kept"], kept, atol=1e-4)
+    run(work, neutral="frame_003,o_02", method="paper", max_sd=LOOSE)
+    told = json.loads((work / "out" / "quality.json").read_text())["neutral"]
+    assert (told["source_frame"], told["target_frame"]) == ("frame_003", "o_02")
+    run(work, neutral="frame_003", method="paper", max_sd=LOOSE)
+    assert_allclose(read_loadings_table(work / "out" / "loadings.csv").loadings_sd[3], 0, atol=1e-6)
+
+
+def test_the_means_are_moved_where_they_lie_apart_and_not_where_it_is_forbidden(
+    work, actor, other, monkeypatch
+):
+    moved = Recentring(actor.training.values[5], np.zeros(2), "frame_005", None, 0.09, 0.04)
+    monkeypatch.setattr(mimic_neutral, "automatic_recentring", lambda source, target: moved)
+    monkeypatch.setattr(mimic_neutral, "means_apart", lambda source, target: 0.09)
+    notes = run(work, method="paper", max_sd=LOOSE).warnings
+    assert_allclose(read_loadings_table(work / "out" / "loadings.csv").loadings_sd[5], 0, atol=1e-6)
+    assert any("on frame frame_005" in note and "9.0% of the eye distance" in note for note in notes)
+    assert "frame_005" in (work / "out" / "index.html").read_text()
+    notes = run(work, method="paper", max_sd=LOOSE, neutral="mean").warnings
+    assert not any("re-centred" in note for note in notes)
+    assert any("9.0% of the eye distance apart: what is neutral" in note for note in notes)
+    monkeypatch.setattr(mimic_neutral, "automatic_recentring", lambda source, target: None)
+    assert any("no frame of drawn comes much nearer" in note for note in run(work).warnings)
+    monkeypatch.setattr(mimic_neutral, "means_apart", lambda source, target: 0.03)
+    assert not any("eye distance apart" in note for note in run(work).warnings)
+    run(work, method="paper", max_sd=LOOSE, neutral="mean")
+    assert np.abs(read_loadings_table(work / "out" / "loadings.csv").loadings_sd[5]).max() > 0.01
+
+
+@pytest.mark.parametrize(
+    ("size", "words"),
+    [
+        ((60, 72), None),
+        ((120, 144), "of 120x144 are scaled to 60x72, as"),
+        ((90, 72), "of 90x72 are cropped to the middle 60x72, as"),
+        ((120, 200), "of 120x200 are scaled to 60x100 and cropped to the middle 60x72, as"),
+    ],
+)
+def test_what_was_done_to_driving_frames_is_said_and_nothing_else(work, picture, size, words):
+    place = work / "sized"
+    place.mkdir()
+    write_image(place / "f.png", picture(size[1], size[0]))
+    notes = [note for note in run(work, frames=str(place)).warnings if note.startswith("driving frames")]
+    assert len(notes) == (words is not None)
+    assert words is None or words in notes[0]
 
 
 def test_a_word_that_is_no_gain_is_refused():

@@ -9,6 +9,7 @@ from morphspace.model import load_model, points_document
 from morphspace.modelfile import check_content
 from morphspace.progress import Step, Steps
 from morphspace.verbs.build_model import explained_variance
+from morphspace.verbs.keypoints import told_errors
 from morphspace.verbs.outcome import Outcome
 
 SHOWN = 10  # components listed one by one
@@ -41,6 +42,12 @@ def run(request: InfoRequest) -> Steps[Outcome]:
         f"consent    {origin.get('consent') or 'not told'}",
         f"licence    {origin.get('licence') or 'not told'}",
         "faceframe  " + ("not marked" if model.faceframe is None else str(points_document(model.faceframe))),
+        "landmarks  "
+        + (
+            "not learned: `morphspace keypoints MODEL --auto` learns them, `mimic --method guided` wants them"
+            if model.landmarks is None
+            else f"{model.landmarks.faces} faces, {told_errors(model.landmarks)}"
+        ),
         "versions   "
         + ", ".join(f"{name} {version}" for name, version in sorted(origin["versions"].items())),
     ]
@@ -56,6 +63,7 @@ def run(request: InfoRequest) -> Steps[Outcome]:
         "registration": model.registration,
         "flow": model.flow,
         "faceframe": points_document(model.faceframe),
+        "landmarks": None if model.landmarks is None else model.landmarks.document(),
         "training_frames": list(model.training.frame_names),
         "provenance": dict(origin),
     }

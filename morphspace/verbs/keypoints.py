@@ -24,6 +24,7 @@ from morphspace.keypoints import (
     lip_of,
     picture_to_mean,
 )
+from morphspace.landmarks import LEAST_FACES, LandmarkRegression
 from morphspace.model import MorphModel, load_model
 from morphspace.modelfile import check_content
 from morphspace.progress import Steps
@@ -63,6 +64,7 @@ class Found:
     origin: Mapping[str, Any]
     lines: tuple[str, ...]
     notes: tuple[str, ...]
+    landmarks: LandmarkRegression | None = None
 
 
 def run(request: KeypointsRequest, detector: FaceDetector | None = None) -> Steps[Outcome]:
@@ -84,6 +86,8 @@ def run(request: KeypointsRequest, detector: FaceDetector | None = None) -> Step
     else:
         found = _given(model, request)
     changed = model.with_faceframe(found.faceframe, found.origin)
+    if request.automatic:
+        changed = changed.with_landmarks(found.landmarks)
     marked_mean = drawn(changed.mean.render(), found.faceframe)
     changed.save(output)
     picture = output.with_name(f"{output.stem}.keypoints.png")
@@ -102,6 +106,7 @@ def run(request: KeypointsRequest, detector: FaceDetector | None = None) -> Step
         "output": str(output),
         "picture": str(picture),
         "origin": dict(found.origin),
+        "landmarks": None if changed.landmarks is None else changed.landmarks.document(),
     }
     return Outcome(lines, document, found.notes, (output, picture))
 
@@ -139,7 +144,7 @@ def _detected(model: MorphModel, detector: FaceDetector) -> Steps[Found]:
     eyes_px = float(np.hypot(*np.diff(found.faceframe.points[:2], axis=0)[0]))
     worst = float(found.spread_px.max()) / eyes_px
     said = f"found in {found.found} of {found.faces} faces; they lie {_listed(found.spread_px)} px from it (median)"
-    notes = (
+    notes: tuple[str, ...] = (
         (
             f"the detections lie {worst:.0%} of the eye distance apart: look at the picture, and mark the points with "
             "--set if they are wrong",
@@ -147,7 +152,16 @@ def _detected(model: MorphModel, detector: FaceDetector) -> Steps[Found]:
         if worst > WIDE_SPREAD
         else ()
     )
-    return Found(found.faceframe, found.origin, (said,), notes)
+    learned = found.landmarks
+    if learned is None:
+        if found.found <= LEAST_FACES:
+            notes += (
+                f"a face was found in {found.found} faces of the model, too few to learn where its landmarks lie: "
+                "`mimic --method guided` will not work with it",
+            )
+        return Found(found.faceframe, found.origin, (said,), notes)
+    taught = f"landmarks learned from {learned.faces} faces; {told_errors(learned)}"
+    return Found(found.faceframe, found.origin, (said, taught), notes, learned)
 
 
 def _given(model: MorphModel, request: KeypointsRequest) -> Found:
@@ -204,6 +218,13 @@ def _lines(model: MorphModel) -> tuple[str, ...]:
 def _document(model: MorphModel) -> dict[str, Any]:
     points = None if model.faceframe is None else model.faceframe.points.tolist()
     return {"model_id": model.model_id, "points": points, "lip": lip_of(model) if points else None}
+
+
+def told_errors(landmarks: LandmarkRegression) -> str:
+    """Say how far the landmarks of a face left out lie from where the regression puts them, by group."""
+    errors = landmarks.errors()
+    groups = ", ".join(f"{name} {error:.2f}" for name, error in errors.items() if name != "all")
+    return f"leave-one-out error {errors['all']:.2f} px ({groups})"
 
 
 def _listed(values: Any) -> str:

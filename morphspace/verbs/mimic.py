@@ -24,9 +24,18 @@ from morphspace.progress import Steps
 from morphspace.report.mimic_page import MimicryShown, mimic_page
 from morphspace.storage import write_text
 from morphspace.verbs import mimic_advice
-from morphspace.verbs.mimic_frames import WORK_FOLDER, FinishedFrames, frame_steps, video_steps
-from morphspace.verbs.mimic_sources import (
+from morphspace.verbs.mimic_folder import (
+    FRAMES_FOLDER,
     MODELS_FOLDER,
+    VIDEO_NAME,
+    WORK_FOLDER,
+    check_ours,
+    no_empty_folders,
+)
+from morphspace.verbs.mimic_frames import FinishedFrames, frame_steps, video_steps
+from morphspace.verbs.mimic_neutral import AUTOMATIC, neutral_names, rest_of
+from morphspace.verbs.mimic_reach import reach_of
+from morphspace.verbs.mimic_sources import (
     Driver,
     UsedModel,
     clip_driver,
@@ -35,11 +44,11 @@ from morphspace.verbs.mimic_sources import (
     ready_model,
     training_driver,
 )
-from morphspace.verbs.mimic_table import FrameMade, quality_columns, write_quality
+from morphspace.verbs.mimic_table import BEYOND, NO_FACE, FrameMade, quality_columns, write_quality
 from morphspace.verbs.outcome import Outcome, check_folder, picture_names, versions, write_record
 from morphspace.verbs.render import CLIPPED_SHARE
 
-DEFAULT_METHOD = "transfer"  # of the request and of the command line
+BEST = "auto"  # the default: the method that measured best of those the models allow
 MAX_SD = 3.0
 
 
@@ -47,19 +56,21 @@ MAX_SD = 3.0
 class MimicRequest:
     """Let `source` drive `target`, each a model or a clip to build one of, and write into the folder `output`.
 
-    `frames` is the clip that drives, None for the source's own training frames; `method` is one of `METHODS`; `gain`
-    multiplies the loadings, "auto" so that the target moves as far as the source (`mimic.auto_gain`); `max_sd` bounds
-    each of them; `components` uses the target's first so many, None for all.
+    `frames` is the clip that drives, None for the source's own training frames; `method` is one of `METHODS`, or "auto": `guided` where both
+    models know their landmarks, else `transfer`; `gain` multiplies the loadings, "auto" so that the target moves as far as the source (`mimic.auto_gain`); `max_sd` bounds
+    each of them; `components` uses the target's first so many, None for all; `neutral` says what counts as rest
+    (`mimic_neutral.rest_of`).
     """
 
     source: str
     target: str
     output: Path
     frames: str | None = None
-    method: str = DEFAULT_METHOD
+    method: str = BEST
     gain: float | Literal["auto"] = 1.0
     max_sd: float = MAX_SD
     components: int | None = None
+    neutral: str = AUTOMATIC
 
 
 def run(request: MimicRequest, detector: Detector | None = None) -> Steps[Outcome]:
@@ -71,8 +82,15 @@ def run(request: MimicRequest, detector: Detector | None = None) -> Steps[Outcom
     _check_request(request)
     detect = detector or own_detector()
     opened = [opened_model("--src", request.source, detect), opened_model("--dst", request.target, detect)]
-    folder = request.output
     _check_early(request, opened)
+    with no_empty_folders(request.output):
+        return (yield from _steps(request, opened, detect))
+
+
+def _steps(
+    request: MimicRequest, opened: Sequence[UsedModel | Clip], detect: Detector | None
+) -> Steps[Outcome]:
+    folder = request.output
     check_folder(folder)
     models = []
     for given in opened:
@@ -80,31 +98,38 @@ def run(request: MimicRequest, detector: Detector | None = None) -> Steps[Outcom
     source, target = models
     shown_target = _truncated(target, request.components)
     driver = training_driver(source) if request.frames is None else clip_driver(source, request.frames)
-    pictures = tuple(folder / "frames" / name for name in picture_names(driver.names))
-    video = folder / "side-by-side.mp4"
+    pictures = tuple(folder / FRAMES_FOLDER / name for name in picture_names(driver.names))
+    video = folder / VIDEO_NAME
     _check_inputs_stay((*pictures, video), [*driver.files, *_files_of(opened)])
-    check_folder(folder / "frames")
-    method = _method(request)
-    gain = auto_gain(source.model, shown_target, method) if request.gain == "auto" else request.gain
-    make = mimic(source.model, shown_target, method, gain=gain, max_sd=request.max_sd)
+    check_folder(folder / FRAMES_FOLDER)
+    method, method_notes = _method(request, source.model, target.model)
+    rest = rest_of(source.model, shown_target, request.neutral)
+    gain = (
+        auto_gain(source.model, shown_target, method, origin=rest.origin)
+        if request.gain == "auto"
+        else request.gain
+    )
+    make = mimic(source.model, shown_target, method, gain=gain, max_sd=request.max_sd, origin=rest.origin)
+    reach = reach_of(source.model, shown_target, gain, rest.offsets(source.model, shown_target))
     looks = mimic_advice.looks_for_faces(driver, source.model, target.model, detect)
     settings = {
-        "method": request.method,
+        "method": method,
         "gain": gain,
         "max_sd": request.max_sd,
         "components": shown_target.rank,
+        "neutral": rest.settings,
         "frames": "clip" if driver.is_pictures else "training",
         "faces_looked_for": looks.detector is not None,
     }
     work = FinishedFrames(folder / WORK_FOLDER, [settings, source.digest, target.digest], driver, pictures)
-    made = yield from frame_steps(source.model, make, work, looks.detector)
+    made = yield from frame_steps(source.model, make, reach, work, looks.detector)
     pairs = yield from video_steps(driver, pictures, video)
     columns = quality_columns(driver.names, made)
     loadings = np.array([one.loadings for one in made]).reshape(len(made), shown_target.rank)
     loadings_sd = loadings / shown_target.sd
-    advice = mimic_advice.advice_of(source.model, target.model, made, loadings_sd, looks, gain)
-    notes = (*driver.notes, *_size_note(source.model, target.model), *looks.notes, *advice)
-    notes += _clipped_note(made, shown_target) + _stale_note(folder / "frames", pictures)
+    advice = mimic_advice.advice_of(source.model, target.model, made, loadings_sd, looks, gain, rest)
+    notes = (*method_notes, *driver.notes, *_size_note(source.model, target.model), *looks.notes, *advice)
+    notes += _clipped_note(made, shown_target) + _stale_note(folder / FRAMES_FOLDER, pictures)
     told = {
         **settings,
         "source": {
@@ -143,15 +168,26 @@ def run(request: MimicRequest, detector: Detector | None = None) -> Steps[Outcom
     return _outcome(folder, source.model, target.model, columns, tuple(notes), tuple(written))
 
 
-def _method(request: MimicRequest) -> Method:
+def _method(request: MimicRequest, source: MorphModel, target: MorphModel) -> tuple[Method, tuple[str, ...]]:
+    """Give the method, and a note where a better one wants something."""
     for method in METHODS:
         if method == request.method:
-            return method
-    raise BadInput(f"there is no mimicry by {request.method!r}: choose one of {', '.join(METHODS)}")
+            return method, ()
+    unlearned = [model.identity for model in (source, target) if model.landmarks is None]
+    if not unlearned:
+        return "guided", ()
+    whose = " and that of ".join(dict.fromkeys(unlearned))
+    return "transfer", (
+        f"the method is transfer, since the model of {whose} does not know its landmarks; guided, which follows lids "
+        "and lips better, needs `morphspace keypoints MODEL --auto`",
+    )
 
 
 def _check_request(request: MimicRequest) -> None:
-    _method(request)
+    if request.method not in (BEST, *METHODS):
+        raise BadInput(
+            f"there is no mimicry by {request.method!r}: choose {BEST}, or one of {', '.join(METHODS)}"
+        )
     if request.gain != "auto" and not np.isfinite(request.gain):
         raise BadInput(f"a gain of {request.gain} cannot be used: give a number, 1 for the motion as it is")
     if not (np.isfinite(request.max_sd) and request.max_sd > 0):
@@ -160,6 +196,8 @@ def _check_request(request: MimicRequest) -> None:
         )
     if request.components is not None and request.components < 1:
         raise BadInput(f"{request.components} components were asked for: ask for at least 1")
+    neutral_names(request.neutral)
+    check_ours(request.output)
 
 
 def _check_early(request: MimicRequest, opened: Sequence[UsedModel | Clip]) -> None:
@@ -249,7 +287,7 @@ def _settings_shown(
     rate = "not known" if driver.rate_hz is None else f"{driver.rate_hz:g} Hz"
     what = "a clip" if driver.is_pictures else "the source's training frames, from their loadings"
     return {
-        "method": request.method,
+        "method": told["method"] + (" (auto)" if request.method == BEST else ""),
         "gain": f"{told['gain']:g}" + (" (auto)" if request.gain == "auto" else ""),
         "bound of each loading": f"{request.max_sd:g} SD",
         "components": f"{told['components']} of {target.model.rank}",
@@ -257,8 +295,16 @@ def _settings_shown(
         "target": f"{target.model.identity}, model {target.model.model_id}, {sizes[1]}, {target.path.name}",
         "driven by": f"{driver.name}: {what}, {len(driver.names)} frames",
         "frame rate": rate,
+        "what counts as rest": _rest_shown(told["neutral"]),
         "faces looked for": "yes" if told["faces_looked_for"] else "no",
     }
+
+
+def _rest_shown(neutral: dict[str, Any]) -> str:
+    frames = [neutral[f"{role}_frame"] or "the mean" for role in ("source", "target")]
+    how = f"--neutral {neutral['asked']}"
+    apart = "" if neutral["apart"] is None else f", {neutral['apart']:.1%} of the eye distance apart"
+    return f"source {frames[0]}, target {frames[1]}{apart} ({how})"
 
 
 def _outcome(
@@ -271,11 +317,13 @@ def _outcome(
 ) -> Outcome:
     flags = columns["flags"]
     flagged = sum(bool(words) for words in flags)
-    no_face = sum("no-face" in words.split() for words in flags)
-    warp_kept = float(np.median(columns["warp_kept"]))
+    no_face = sum(NO_FACE in words.split() for words in flags)
+    warp_kept, missing, agreement = (
+        float(np.median(columns[name])) for name in ("warp_kept", "missing_motion", "colour_agreement")
+    )
     lines = (
-        f"{folder}: {target.identity} shows {len(flags)} frames of {source.identity}; of the motion {warp_kept:.0%} is "
-        f"kept (median), {flagged} frames are flagged",
+        f"{folder}: {target.identity} shows {len(flags)} frames of {source.identity}; of the motion "
+        f"{max(warp_kept, 0):.0%} is kept (median), {flagged} frames are flagged",
         f"page: {folder / 'index.html'}",
     )
     document = {
@@ -284,8 +332,10 @@ def _outcome(
         "frames": len(flags),
         "flagged": flagged,
         "no_face": no_face,
+        "out_of_range": sum(BEYOND in words.split() for words in flags),
         "warp_kept_median": warp_kept,
-        "texture_kept_median": float(np.median(columns["texture_kept"])),
+        "missing_motion_median": missing,
+        "colour_agreement_median": agreement,
         "model_id": target.model_id,
     }
     return Outcome(lines, document, notes, written)

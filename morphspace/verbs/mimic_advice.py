@@ -11,8 +11,9 @@ from morphspace.arrays import AnyArray
 from morphspace.detection import Detector
 from morphspace.facepoints import LOWER_LIP_TOP, MOUTH_CORNERS, UPPER_LIP_BOTTOM, FacePoints
 from morphspace.model import MorphModel
+from morphspace.verbs.mimic_neutral import Rest
 from morphspace.verbs.mimic_sources import Driver
-from morphspace.verbs.mimic_table import FOLDS, NO_FACE, OUT_OF_RANGE, OUT_OF_RANGE_SD, TURNED, FrameMade
+from morphspace.verbs.mimic_table import BEYOND, FOLDS, NO_FACE, OUT_OF_RANGE, TURNED, FrameMade
 
 LITTLE_KEPT = 0.3  # median share of the motion; below it the target hardly follows
 WANTED_GAIN = (
@@ -78,12 +79,13 @@ def advice_of(
     loadings_sd: AnyArray,
     looks: Looks,
     gain: float,
+    rest: Rest,
 ) -> tuple[str, ...]:
     """Give what should be read first, each with what to do about it."""
     return (
-        *_means_words(source, target, looks),
+        *(rest.notes(source, target) or _means_words(source, target, looks)),
         *_kept_words(target, made, gain),
-        *_centre_words(source, target, loadings_sd),
+        *(_centre_words(source, target, loadings_sd) if rest.origin is None else ()),
         *_flag_words(target, made),
     )
 
@@ -102,7 +104,8 @@ def _means_words(source: MorphModel, target: MorphModel, looks: Looks) -> tuple[
         return ()
     return (
         f"the mean faces differ in expression: {' and '.join(words)}. What is neutral for one is not for the other, "
-        "and every face is off by the difference: build both models from frames of like expressions",
+        "and every face is off by the difference: name a resting frame of each with --neutral A_FRAME,B_FRAME, or "
+        "build both models from frames of like expressions",
     )
 
 
@@ -133,7 +136,9 @@ def _flag_words(target: MorphModel, made: Sequence[FrameMade]) -> tuple[str, ...
     meanings = {
         NO_FACE: "show no face to the detector: what was made of them means nothing",
         TURNED: "show a head turned by more than 20 degrees: its far side is hidden, and the motion is less sure",
-        OUT_OF_RANGE: f"ask for what {target.identity} hardly ever shows, beyond {OUT_OF_RANGE_SD:g} SD (see --max-sd)",
+        BEYOND: f"ask for more than {target.identity} ever shows: at lids, brows and lips more than {OUT_OF_RANGE:.0%} "
+        "of the eye distance is missing (missing_motion). Build its model from frames that show such expressions, or "
+        "lower the gain",
         FOLDS: "fold over themselves in places: lower --gain or --max-sd",
     }
     words = []

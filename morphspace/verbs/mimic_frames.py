@@ -24,13 +24,13 @@ from morphspace.model import MorphModel
 from morphspace.progress import Step, Steps, in_order
 from morphspace.report.mimic_page import PAIRS_SHOWN
 from morphspace.storage import digest_of_file, digest_of_json, json_text, write_text
+from morphspace.verbs.mimic_reach import Reach, ReachOf
 from morphspace.verbs.mimic_sources import Driver
 from morphspace.verbs.mimic_table import FaceSeen, FrameMade, made_of
 from morphspace.verbs.outcome import versions
 from morphspace.verbs.render import FRAME_RATE_HZ
 
-WORK_FOLDER = "mimic.work"  # in the output: finished frames of a run that was stopped
-WORK_FORMAT = "morphspace-mimic-frame-1"
+WORK_FORMAT = "morphspace-mimic-frame-2"
 KEY_DIGITS = 32
 GAP_PX = 4  # between the panels of the video
 THUMBNAIL_WIDTH_PX = 132
@@ -46,7 +46,7 @@ class FinishedFrames:
     pictures: tuple[Path, ...]
 
     def file(self, place: int) -> Path:
-        names = [entry.name for entry in fields(Quality)]
+        names = [entry.name for kind in (Quality, Reach) for entry in fields(kind)]
         parts = [WORK_FORMAT, self.common, names, versions(), self.pictures[place].name]
         return self.folder / f"{digest_of_json([*parts, self.driver.digests[place]])[:KEY_DIGITS]}.json"
 
@@ -73,7 +73,7 @@ class FinishedFrames:
 
 
 def frame_steps(
-    source: MorphModel, make: Mimic, work: FinishedFrames, detect: Detector | None
+    source: MorphModel, make: Mimic, reach: ReachOf, work: FinishedFrames, detect: Detector | None
 ) -> Steps[list[FrameMade]]:
     """Make each frame that is not there yet and write its picture, a few at a time; give what became of each."""
     driver, total = work.driver, len(work.pictures)
@@ -84,17 +84,20 @@ def frame_steps(
     if missing:
         make(
             offset_of(source, np.zeros(0))
-        )  # what it prepares on first use is prepared here, and not by each thread
+        )  # what it prepares on first use, it prepares here, not in each thread
         if driver.is_pictures:
             _ = source.flow_from_reference
 
     def one_frame(item: tuple[int, AnyArray]) -> tuple[int, FrameMade]:
         place, given = item
         face = None if detect is None else _seen(detect, driver.picture(given))
-        mimicry = make(driver.offset(driver.names[place], given))
+        offset = driver.offset(driver.names[place], given)
+        mimicry = make(offset)
         clipped = write_image(work.pictures[place], mimicry.morph.render())
         digest = digest_of_file(work.pictures[place])
-        return place, FrameMade(tuple(mimicry.loadings.tolist()), mimicry.quality, face, clipped, digest)
+        loadings = tuple(mimicry.loadings.tolist())
+        followed = reach(offset, mimicry)
+        return place, FrameMade(loadings, mimicry.quality, followed, face, clipped, digest)
 
     for place, one in in_order(one_frame, zip(missing, driver.given(missing), strict=True)):
         work.write(place, one)
@@ -140,9 +143,6 @@ def video_steps(
     write_video(video, frames(), frame_rate_hz=driver.rate_hz or FRAME_RATE_HZ, encoding="people")
     yield Step("video", total, total)
     return pairs
-
-
-THUMBNAIL_WIDTH_PX = 132
 
 
 def _of_width(image: Image, width: int) -> Image:

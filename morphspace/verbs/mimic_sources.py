@@ -17,6 +17,7 @@ from morphspace.arrays import AnyArray, Image
 from morphspace.build import COMPONENTS
 from morphspace.detection import Detector, load_detector, models_present
 from morphspace.errors import BadInput
+from morphspace.faces import Framing
 from morphspace.files.clips import VIDEO_SUFFIXES, Clip, open_clip
 from morphspace.flow import methods
 from morphspace.keypoints import detect_faceframe
@@ -31,7 +32,6 @@ from morphspace.verbs.build_model import BuildModelRequest
 from morphspace.verbs.encoding import framed_for
 from morphspace.verbs.outcome import versions
 
-MODELS_FOLDER = "models"  # beside the output: models that were built on the way
 MODEL_SUFFIX = ".morph"
 
 
@@ -92,14 +92,6 @@ def clip_driver(source: UsedModel, frames: str) -> Driver:
     """Let a clip drive: each frame is aligned to the source's reference and taken apart on its mean face."""
     model = source.model
     framed = framed_for(model, (frames,), None)
-    framing = framed.framing
-    notes: tuple[str, ...] = ()
-    if framing.scaled_size != framing.box[2:] or any(framing.cut_off):
-        notes = (
-            f"driving frames of {framing.box[2]}x{framing.box[3]} are scaled to {framing.scaled_size[0]}x"
-            f"{framing.scaled_size[1]} and cropped to the middle {framing.size[0]}x{framing.size[1]}, the frames of "
-            f"{model.identity}",
-        )
 
     def offset(name: str, picture: Image) -> MorphOffset:
         return model.morph_of(model.align(picture, name).image, model.flow_from_reference) - model.mean
@@ -116,7 +108,30 @@ def clip_driver(source: UsedModel, frames: str) -> Driver:
         offset=offset,
         picture=lambda picture: picture,
         files=framed.clip.paths,
-        notes=notes,
+        notes=_framing_notes(framed.framing, model),
+    )
+
+
+def _framing_notes(framing: Framing, model: MorphModel) -> tuple[str, ...]:
+    """Say what was done to the driving frames so that they fit the model, where anything was."""
+
+    def size(wide: int, high: int) -> str:
+        return f"{wide}x{high}"
+
+    done = []
+    if framing.crop is not None:
+        done.append(f"cropped to {size(*framing.box[2:])} at {framing.box[0]},{framing.box[1]}")
+    if framing.scaled_size != framing.box[2:]:
+        done.append(f"scaled to {size(*framing.scaled_size)}")
+    if any(framing.cut_off):
+        done.append(f"cropped to the middle {size(*framing.size)}")
+    if not done:
+        return ()
+    *first, last = done
+    steps = f"{', '.join(first)} and {last}" if first else last
+    return (
+        f"driving frames of {size(*framing.source_size)} are {steps}, as the frames of {model.identity} are "
+        f"{size(*framing.size)}",
     )
 
 

@@ -1,0 +1,61 @@
+"""The output folder of a mimicry: whose it is before anything is written, and that a refusal leaves nothing behind."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from morphspace.errors import BadInput
+from morphspace.verbs.outcome import RECORD_NAME
+
+FRAMES_FOLDER = "frames"
+MODELS_FOLDER = "models"  # models that were built on the way
+WORK_FOLDER = "mimic.work"  # finished frames of a run that was stopped
+VIDEO_NAME = "side-by-side.mp4"
+WRITTEN = (
+    FRAMES_FOLDER,
+    VIDEO_NAME,
+    "loadings.csv",
+    "loadings.json",
+    "quality.csv",
+    "quality.json",
+    "index.html",
+    RECORD_NAME,
+)
+
+
+def check_ours(folder: Path) -> None:
+    """Raise `BadInput` where the folder holds something under a name of ours that no run of mimic left there."""
+    if not folder.is_dir() or (folder / WORK_FOLDER).is_dir() or _is_recorded(folder / RECORD_NAME):
+        return
+    for name in WRITTEN:
+        path = folder / name
+        if path.exists() and not (path.is_dir() and not any(path.iterdir())):
+            lost = "be mixed with the new pictures" if name == FRAMES_FOLDER else "be written over"
+            raise BadInput(
+                f"{folder} is no folder of an earlier mimic, and its {name} would {lost}: choose another output "
+                f"folder, or move {name} away"
+            )
+
+
+def _is_recorded(record: Path) -> bool:
+    try:
+        document = json.loads(record.read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return False
+    return isinstance(document, dict) and document.get("verb") == "mimic"
+
+
+@contextmanager
+def no_empty_folders(folder: Path) -> Iterator[None]:
+    """Take away, however the block ends, what folders it made here that are empty."""
+    inner = [folder / name for name in (FRAMES_FOLDER, WORK_FOLDER, MODELS_FOLDER)]
+    made = [path for path in (*inner, folder, *folder.parents) if not path.exists()]
+    try:
+        yield
+    finally:
+        for path in made:
+            if path.is_dir() and not any(path.iterdir()):
+                path.rmdir()

@@ -1,0 +1,91 @@
+"""How far the target follows, judged alike for every method: what is missing of the motion, and how colours agree.
+
+Shares of energy say little between people. Skin and light differ, so that most of the carried change of colour is
+nothing the target could show; and a small share of a large motion may be a closed mouth that should stand open. So the
+motion is looked at where expressions are read, in units of the face, and of the colours only whether they change alike.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from morphspace.arrays import AnyArray
+from morphspace.keypoints import required_faceframe
+from morphspace.mimic import FEATURE_WEIGHT, Mimicry, Passage, feature_weights
+from morphspace.model import MorphModel
+from morphspace.morph import MorphOffset
+
+NEAR = 0.3  # of a feature point's weight; with it some 5 % of a face's pixels lie on lids, brows and lips
+INSIDE = 0.5  # of both masks
+WORST = 0.95  # quantile over those pixels: a corner of the mouth counts, a single pixel does not
+
+
+@dataclass(frozen=True, eq=False)
+class Reach:
+    """How far the target follows one face.
+
+    `missing_motion`: what its loadings leave of the motion asked for at lids, brows and lips, 95th percentile, in eye
+    distances of the target; over the whole face where the target does not know where those are. `colour_agreement`:
+    correlation, without taking means, of the change of colour asked for with the one shown, inside both masks; 0 where
+    one of them changes nothing.
+    """
+
+    missing_motion: float
+    colour_agreement: float
+
+
+ReachOf = Callable[[MorphOffset, Mimicry], Reach]
+"""Judges what a difference from the source's mean became."""
+
+
+def reach_of(
+    source: MorphModel, target: MorphModel, gain: float, rest: tuple[MorphOffset, MorphOffset] | None = None
+) -> ReachOf:
+    """Prepare a pair of models; give the function that judges each face (ours).
+
+    `gain` multiplies what is asked for; `rest` are the faces of source and target that count as rest, relative to their
+    means, None for the means. Raises as `Passage`.
+    """
+    passage = Passage(source, target)
+    inside = passage.seen * target.mask > INSIDE
+    places = np.flatnonzero(_features(target) & inside.reshape(-1))
+    skin = inside[..., None].astype(np.float32)
+    right, left, _ = required_faceframe(target).points
+    eyes_px = float(np.hypot(*(left - right)))
+    colours = 3 * target.mask.size
+    columns = colours + (2 * places[:, None] + (0, 1)).reshape(-1)
+    components = np.array(target.basis.components[:, columns])
+    at_rest = np.zeros((len(places), 2), np.float32)
+    coloured = np.zeros_like(target.mean.texture)
+    if rest is not None:
+        at_rest = rest[1].displacement.reshape(-1, 2)[places]
+        coloured = rest[1].texture
+
+    def reach(offset: MorphOffset, mimicry: Mimicry) -> Reach:
+        asked = passage.carried(offset if rest is None else offset - rest[0]) * gain
+        shown = (np.asarray(mimicry.loadings, np.float32) @ components).reshape(-1, 2)
+        missing = asked.displacement.reshape(-1, 2)[places] + at_rest - shown
+        lengths = np.hypot(missing[:, 0], missing[:, 1])
+        texture = mimicry.morph.texture - target.mean.texture - coloured
+        return Reach(
+            float(np.quantile(lengths, WORST)) / eyes_px if len(lengths) else 0.0,
+            _agreement(skin * asked.texture, skin * texture),
+        )
+
+    return reach
+
+
+def _features(target: MorphModel) -> AnyArray:
+    """Give which pixels lie near lids, brows and lips, (h w,); all where the model does not know."""
+    near = (feature_weights(target) - 1).reshape(-1) / FEATURE_WEIGHT > NEAR
+    return near if near.any() else np.ones_like(near)
+
+
+def _agreement(one: AnyArray, other: AnyArray) -> float:
+    """Give the correlation of two changes of colour (h, w, 3), without taking means."""
+    one, other = one.reshape(-1), other.reshape(-1)
+    lengths = float(np.sqrt(np.dot(one, one))) * float(np.sqrt(np.dot(other, other)))
+    return float(np.clip(np.dot(one, other) / lengths, -1, 1)) if lengths > 0 else 0.0
