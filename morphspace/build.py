@@ -17,12 +17,18 @@ from typing import Any
 import numpy as np
 
 from morphspace import faces, warp
+from morphspace.anchoring import FaceAnchor, rigid_movement
 from morphspace.arrays import Affine, AnyArray, Displacement, Image, Mask
 from morphspace.basis import basis_from_gram, gram_matrix, mean_row
 from morphspace.errors import BadInput
+from morphspace.facefinder import FaceFinder
+from morphspace.facepoints import FacePoints
+from morphspace.facerest import far_from_rest, mouth_gap
 from morphspace.faces import FaceFrame, Frame, RegistrationKind
 from morphspace.flow import Flow, methods, starts
 from morphspace.flow.starts import StartKind
+from morphspace.framepoints import points_steps
+from morphspace.keypoints import detect_faceframe, with_detected
 from morphspace.model import Loadings, MorphModel, inner_product, model_digest
 from morphspace.morph import Morph, invert_mean_shape, morph_of, parts_of, resource
 from morphspace.progress import Step, Steps, in_order
@@ -50,7 +56,7 @@ class BuildSettings:
     `start` "auto" tries hard frames again from a neighbour's field (`flow.starts`): meant for frames in the order of
     time, harmless for others. `mask` (h, w) is drawn on the reference, None for an ellipse over the face. `faceframe`
     is marked on the frame `faceframe_index`; unmoved, it also places the rigid part and the mask, so the two frames
-    should hold the head alike.
+    should hold the head alike. `finder` finds the face in each frame; what follows from it is in `build_steps`.
     """
 
     components: int = COMPONENTS
@@ -62,6 +68,7 @@ class BuildSettings:
     mask: Mask | None = None
     faceframe: FaceFrame | None = None
     faceframe_index: int | None = None
+    finder: FaceFinder | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,7 +78,7 @@ class Build:
     `registrations` (n, 2, 3) | inside the mask, (n,) each: `fold_fractions`, `motion_px` rms of the flow, `confidences`
     mean of the flow's confidence | `confidence_map` (h, w) its mean over the frames, on the mean face |
     `from_neighbour` (n,) bool, where the flow started from a neighbour's | `trials` of the warp weight | `frame_files`
-    of the work folder.
+    of the work folder | `faces_found` (n,) bool, where the detector found the face; None where none was asked.
     """
 
     model: MorphModel
@@ -85,6 +92,7 @@ class Build:
     trials: tuple[WeightTrial, ...]
     warnings: tuple[str, ...]
     frame_files: tuple[Path, ...] = field(repr=False)
+    faces_found: AnyArray | None = None
 
     def frame(self, index: int) -> tuple[Frame, Flow]:
         """Give aligned frame `index` and its flow from the reference, from the work folder."""
@@ -100,6 +108,10 @@ def build_steps(
     Parameters: source, the frames; settings; work_folder, where finished frames are kept; provenance, a JSON document
     with at least `identity`, `framing` and `versions`, to which the build adds what it chose. Raises `BadInput` for
     fewer than three frames, frames of different sizes, or a mask that does not fit.
+
+    With a finder, the points of the face give what was not given: rigid part and mask, a start for each frame's
+    registration, an anchor for its flow (`anchoring`), the choice of the reference among those that serve nearly as
+    well (`facerest`), and the keypoints on the mean face. A frame without a face goes without.
     """
     count = len(source.names)
     if count < MIN_FRAMES:
@@ -109,7 +121,11 @@ def build_steps(
     methods.named(settings.flow)  # wrong names are told before any work is done
     starts.check_start(settings.start)
     work_folder.mkdir(parents=True, exist_ok=True)
-    choice = yield from _choose_reference(source, settings)
+    found: tuple[FacePoints | None, ...] = (None,) * count
+    if settings.finder is not None:
+        found = yield from points_steps(source, settings.finder, work_folder)
+    choice = yield from _choose_reference(source, settings, found)
+    face = found[choice.index]
     (reference,) = source.images([choice.index])
     height, width = reference.shape[:2]
     if settings.mask is not None and settings.mask.shape != (height, width):
@@ -117,20 +133,23 @@ def build_steps(
             f"the mask is {settings.mask.shape[1]}x{settings.mask.shape[0]}, the frames are {width}x{height}: "
             "draw it on the reference at the size of the frames"
         )
+    placed = settings.faceframe or (None if face is None else face.faceframe())
     plan = FramePlan(
         reference=reference,
         reference_index=choice.index,
-        region=faces.rigid_region(height, width, settings.faceframe),
-        mask=faces.face_mask(height, width, settings.faceframe),
+        region=faces.rigid_region(height, width, placed),
+        mask=faces.face_mask(height, width, placed),
         registration=settings.registration,
         flow=settings.flow,
         start=settings.start,
+        anchor=None if face is None or settings.finder is None else FaceAnchor(settings.finder, face),
     )
-    files = yield from frame_steps(source, plan, work_folder)
+    movements = [_movement(face, one) for one in found]
+    files = yield from frame_steps(source, plan, work_folder, movements)
     registrations, mean_field = _mean_field(files)
     mean_inverse = invert_mean_shape(mean_field)
     faceframe = _faceframe_on_mean(settings, files, registrations, mean_field)
-    mask = _mask_on_mean(settings, mean_inverse, faceframe)
+    mask = _mask_on_mean(settings.mask, mean_inverse, faceframe or (placed and _carried(placed, mean_field)))
     reference_id = digest_of_json([digest_of_array(reference), digest_of_array(mean_inverse)])[:16]
     with _row_file(work_folder, count, 5 * height * width) as rows:
         measured = yield from _morph_pass(rows, files, mean_inverse, mask, reference_id)
@@ -153,6 +172,8 @@ def build_steps(
         **provenance,
         "reference": {"frame": choice.name, "reason": choice.reason, "sha256": digest_of_array(reference)},
         "flow_start": settings.start,
+        "mask_from": _mask_origin(settings, face),
+        "landmarks": None if settings.finder is None else _landmarks_document(settings.finder, found, choice),
         "components_asked": settings.components,
         "warp_weight_trials": [[t.weight, t.psnr_db] for t in trials],
     }
@@ -164,13 +185,18 @@ def build_steps(
         reference=reference,
         mean_inverse=mean_inverse,
         faceframe=faceframe,
-        reference_faceframe=settings.faceframe,
+        reference_faceframe=placed,
         training=Loadings(loadings, source.names, model_digest(basis, mean_morph, full_provenance)),
         registration=settings.registration,
         flow=settings.flow,
         provenance=full_provenance,
     )
     warnings = _warnings(source, choice, model)
+    if settings.finder is not None and faceframe is None and model.rank > 0:
+        try:
+            model = with_detected(model, (yield from detect_faceframe(model, settings.finder.find)))
+        except BadInput as error:
+            warnings += (f"the model has no keypoints: {error}",)
     return Build(
         model=model,
         choice=choice,
@@ -183,10 +209,30 @@ def build_steps(
         trials=trials,
         warnings=warnings,
         frame_files=tuple(files),
+        faces_found=None if settings.finder is None else np.array([one is not None for one in found]),
     )
 
 
-def _choose_reference(source: FrameSource, settings: BuildSettings) -> Steps[ReferenceChoice]:
+def _movement(reference: FacePoints | None, frame: FacePoints | None) -> Affine | None:
+    """Give where a frame's registration may start, (2, 3); None where one of the faces is not known."""
+    return None if reference is None or frame is None else rigid_movement(reference, frame)
+
+
+def _landmarks_document(
+    finder: FaceFinder, found: tuple[FacePoints | None, ...], choice: ReferenceChoice
+) -> dict[str, Any]:
+    """Say for the provenance which detector looked, in how many frames it found a face, and if in the reference."""
+    return {
+        "detector": dict(finder.identity),
+        "frames": len(found),
+        "frames_with_face": sum(one is not None for one in found),
+        "reference_has_face": found[choice.index] is not None,
+    }
+
+
+def _choose_reference(
+    source: FrameSource, settings: BuildSettings, found: tuple[FacePoints | None, ...]
+) -> Steps[ReferenceChoice]:
     if settings.reference is not None:
         if not 0 <= settings.reference < len(source.names):
             raise BadInput(
@@ -204,14 +250,25 @@ def _choose_reference(source: FrameSource, settings: BuildSettings) -> Steps[Ref
         contrasts.append(mouth_contrast(image, faces.mouth_region(height, width, settings.faceframe)))
         little, mask = shrunk(image, faces.face_mask(height, width, settings.faceframe))
         small.append(little)
-    place, errors = yield from search(small, np.array(contrasts), mask)
+    far = far_from_rest([found[index] for index in indices])
+    known = bool(np.isfinite(far).any())
+    place, errors = yield from search(small, np.array(contrasts), mask, far if known else None)
     best, worst = min(errors.values()), max(errors.values())
     reason = (
         f"of {len(errors)} frames tried it is among those that reach the hardest frames best (error "
-        f"{errors[place]:.4f}, best {best:.4f}, worst {worst:.4f}, colour 0 to 1), and of these its mouth is nearest "
-        "to half open"
+        f"{errors[place]:.4f}, best {best:.4f}, worst {worst:.4f}, colour 0 to 1), and of these "
+        f"{_nearest(found[indices[place]])}"
     )
     return ReferenceChoice(indices[place], source.names[indices[place]], reason)
+
+
+def _nearest(face: FacePoints | None) -> str:
+    if face is None:
+        return "its mouth is nearest to half open"
+    return (
+        "its face is nearest to rest with the lips slightly apart (their gap is "
+        f"{mouth_gap(face):.2f} eye distances)"
+    )
 
 
 def _mean_field(files: list[Path]) -> tuple[AnyArray, Displacement]:
@@ -295,11 +352,25 @@ def _faceframe_on_mean(
     return settings.faceframe.moved(warp.move_points(mean_field, points))
 
 
-def _mask_on_mean(settings: BuildSettings, mean_inverse: Displacement, faceframe: FaceFrame | None) -> Mask:
-    if settings.mask is None:
+def _carried(faceframe: FaceFrame, mean_field: Displacement) -> FaceFrame:
+    """Carry a faceframe from the reference to the mean face."""
+    return faceframe.moved(warp.move_points(mean_field, faceframe.points))
+
+
+def _mask_origin(settings: BuildSettings, face: FacePoints | None) -> str:
+    if settings.mask is not None:
+        return "given"
+    if settings.faceframe is not None:
+        return "faceframe"
+    return "ellipse" if face is None else "found face"
+
+
+def _mask_on_mean(drawn: Mask | None, mean_inverse: Displacement, faceframe: FaceFrame | None) -> Mask:
+    """Carry the mask from the reference to the mean face; an ellipse where none was drawn there."""
+    if drawn is None:
         height, width = mean_inverse.shape[:2]
         return faces.face_mask(height, width, faceframe)
-    mask = np.clip(warp.sample_field(settings.mask.astype(np.float32), mean_inverse), 0, 1)
+    mask = np.clip(warp.sample_field(drawn.astype(np.float32), mean_inverse), 0, 1)
     if not mask.any():
         raise BadInput("the mask is empty (0 everywhere): paint the face white")
     return mask

@@ -19,14 +19,14 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from morphspace import __version__
+from morphspace.cli_build import build_model_options
 from morphspace.cli_flow import flow_options
 from morphspace.cli_keypoints import add_keypoints
 from morphspace.cli_measure import measure_mimicry_options
 from morphspace.cli_mimic import add_mimic
 from morphspace.cli_models import add_models
-from morphspace.cli_words import CROP, SIZE, WeightOrAuto
+from morphspace.cli_words import CROP, SIZE
 from morphspace.errors import BadInput, MorphspaceError
-from morphspace.flow.names import DEFAULT, NAMES
 
 if TYPE_CHECKING:
     from morphspace.progress import Step, Steps
@@ -41,6 +41,8 @@ class OneLineErrors(click.Group):
 
     def main(self, *args: Any, **extra: Any) -> Any:
         extra["standalone_mode"] = False
+        given = args[0] if args else extra.get("args")
+        is_told = "--json" in (sys.argv[1:] if given is None else given)  # our option is not read yet
         try:
             code = super().main(*args, **extra)
         except click.UsageError as error:
@@ -50,9 +52,11 @@ class OneLineErrors(click.Group):
                 click.echo(error.format_message())
                 sys.exit(2)
             words = error.ctx.command_path if error.ctx else "morphspace"
-            _fail(f"{error.format_message().rstrip('.')}. See {words} --help", 2)
+            _fail(
+                f"{error.format_message().rstrip('.')}. See {words} --help", 2, "Usage" if is_told else None
+            )
         except click.Abort:
-            _fail("stopped", INTERRUPTED)
+            _fail("stopped", INTERRUPTED, "Interrupted" if is_told else None)
         sys.exit(code if isinstance(code, int) else 0)
 
 
@@ -90,17 +94,24 @@ def verb(command: Callable[..., Steps[Outcome]]) -> Callable[..., None]:
         except KeyboardInterrupt:
             if debug:
                 raise
-            _fail("stopped; every file there is whole. The same command goes on where it can", INTERRUPTED)
+            _fail(
+                "stopped; every file there is whole. The same command goes on where it can",
+                INTERRUPTED,
+                "Interrupted" if as_json else None,
+            )
         except MorphspaceError as error:
             if debug:
                 raise
-            _fail(str(error), 2 if isinstance(error, BadInput) else 1)
+            _fail(
+                str(error), 2 if isinstance(error, BadInput) else 1, type(error).__name__ if as_json else None
+            )
         except Exception as error:
             if debug:
                 raise
             _fail(
                 f"a fault of morphspace ({type(error).__name__}: {error}); run again with --debug and report it",
                 1,
+                "Fault" if as_json else None,
             )
         _show(outcome, quiet, as_json)
 
@@ -147,8 +158,13 @@ def _show(outcome: Outcome, quiet: bool, as_json: bool) -> None:
             click.echo(re.sub(r"[\x00-\x1f\x7f]+", " ", line))
 
 
-def _fail(message: str, code: int) -> None:
-    click.echo(f"morphspace: {' '.join(message.split())}", err=True)
+def _fail(message: str, code: int, kind: str | None = None) -> None:
+    """Print one line on the error stream, and where a machine asked (`kind`) the same as JSON on the other; exit."""
+    line = " ".join(message.split())
+    click.echo(f"morphspace: {line}", err=True)
+    if kind is not None:
+        error = {"exit_code": code, "kind": kind, "message": line}
+        click.echo(json.dumps({"error": error}, indent=2, sort_keys=True))
     sys.exit(code)
 
 
@@ -158,58 +174,7 @@ CROPPED = click.option("--crop", type=CROP, help="Cut this box out of every fram
 
 
 @main.command("build-model")
-@SOURCES
-@click.option(
-    "-o", "--output", type=click.Path(path_type=Path), help="The .morph file [default: the clip's name]."
-)
-@click.option(
-    "-k",
-    "--components",
-    type=click.IntRange(1, 10_000),
-    default=50,
-    show_default=True,
-    help="The most components to keep.",
-)
-@click.option("--size", type=SIZE, help="Model frame size; scales to cover and crops to the middle.")
-@CROPPED
-@click.option(
-    "--mask", type=click.Path(path_type=Path), help="Grey picture on the reference, white where the face is."
-)
-@click.option("--reference", metavar="FILE", help="The reference frame [default: chosen, and said why].")
-@click.option(
-    "--register",
-    "registration",
-    type=click.Choice(["none", "similarity", "affine"]),
-    default="similarity",
-    show_default=True,
-    help="How head movement is taken out.",
-)
-@click.option(
-    "--flow",
-    type=click.Choice(NAMES),
-    default=DEFAULT,
-    show_default=True,
-    help="The flow estimator, as in `morphspace flow`.",
-)
-@click.option(
-    "--start",
-    type=click.Choice(["auto", "none"]),
-    default="auto",
-    show_default=True,
-    help="Whether hard frames are tried again from a neighbour's flow.",
-)
-@click.option(
-    "--warp-weight",
-    type=WeightOrAuto(),
-    default="auto",
-    show_default=True,
-    help="Colour per px of warp in the inner product; auto cross-validates.",
-)
-@click.option("--work-dir", "work_folder", type=click.Path(path_type=Path), help="Keep finished frames here.")
-@click.option("--identity", help="Who it is [default: from clip.json, else the clip's name].")
-@click.option(
-    "--report", type=click.Path(path_type=Path), help="The HTML report [default: beside the model]."
-)
+@build_model_options
 @verb
 def build_model(clip: tuple[str, ...], **options: Any) -> Steps[Outcome]:
     """Build a face model from CLIP: image files, a folder, a quoted glob, or a video."""

@@ -18,6 +18,13 @@ OPTIONS = (
         help="The stimulus' model (.morph): both are measured in its space.",
     ),
     click.option(
+        "--imitator",
+        type=click.Path(path_type=Path),
+        metavar="B",
+        help="The model (.morph) of who imitates, where that is another person: IMITATION is read in it and carried "
+        "over by mimicry. Both models need keypoints.",
+    ),
+    click.option(
         "-o",
         "--output",
         type=click.Path(path_type=Path),

@@ -16,9 +16,9 @@ if TYPE_CHECKING:
 FACES_MISSING = 3  # exit code: all was done, but some driving frames show no face
 
 
-def gain_of(_context: click.Context, _option: click.Parameter, word: str) -> float | str:
+def gain_of(_context: click.Context, _option: click.Parameter, word: str | None) -> float | str | None:
     """Read the word of --gain: a number, or auto."""
-    if word == "auto":
+    if word is None or word == "auto":
         return word
     try:
         return float(word)
@@ -64,10 +64,9 @@ OPTIONS = (
     click.option(
         "--gain",
         callback=gain_of,
-        default="1",
-        show_default=True,
         metavar="G|auto",
-        help="Multiply all loadings: above 1 caricatures; auto: as far as A moves.",
+        help="Multiply all loadings: above 1 caricatures; auto: as far as A moves [default: auto with guided and "
+        "transfer, 1 with paper and map].",
     ),
     click.option(
         "--max-sd",

@@ -36,6 +36,7 @@ REGISTRATION_PASSES = (
 ROBUST_PASSES = 10  # of reweighting; forty moved the eyes by 0.01 to 0.18 px on three clips
 ANCHORS = 2500  # points at most, evenly spread; all of them moved the eyes by 0.01 to 0.07 px on three clips
 SCALE_FLOOR_PX = 0.2  # residuals below this are flow noise, not expression
+CLEARLY_ALIKE = 0.95  # times the standing error; two ways to the same place differ by less
 CORNER_WINDOW_PX = 7
 CORNER_PERCENTILE = 80  # texture above this percentile of the rigid part counts in full
 
@@ -159,24 +160,43 @@ def identity_affine() -> Affine:
     return np.eye(2, 3)
 
 
-def register(reference: Image, image: Image, kind: RegistrationKind, region: Mask) -> Affine:
+def register(
+    reference: Image, image: Image, kind: RegistrationKind, region: Mask, start: Affine | None = None
+) -> Affine:
     """Fit the head movement between the reference and an image, (2, 3): reference(p) ~ image(A p) on the rigid part.
 
     Dense flow gives the matches; `region` (h, w) says where the rigid part of the face lies; texture says where the
-    flow can be believed; reweighted least squares (Geman and McClure's weights) leave out what moves by itself.
+    flow can be believed; reweighted least squares (Geman and McClure's weights) leave out what moves by itself. Flow
+    loses a head that moved or turned far. A `start` (2, 3) that knows better, such as landmarks give, is tried as well,
+    and what it leads to is kept where the rigid part then looks clearly more alike.
     """
-    total = identity_affine()
     if kind == "none":
-        return total
+        return identity_affine()
     points, weights = _anchor_points(reference, region)
     if weights.sum() <= 0:
+        return identity_affine()
+
+    def refined(total: Affine) -> Affine:
+        for _ in range(REGISTRATION_PASSES):
+            field = dis_medium(reference, aligned(image, "", total).image)
+            x, y = points[:, 0].astype(np.intp), points[:, 1].astype(np.intp)
+            step = _robust_affine(points, points + field[y, x], weights, kind)
+            total = warp.chain_affine(total, step)
         return total
-    for _ in range(REGISTRATION_PASSES):
-        field = dis_medium(reference, aligned(image, "", total).image)
-        x, y = points[:, 0].astype(np.intp), points[:, 1].astype(np.intp)
-        step = _robust_affine(points, points + field[y, x], weights, kind)
-        total = warp.chain_affine(total, step)
-    return total
+
+    found = refined(identity_affine())
+    if start is None:
+        return found
+    other = refined(start)
+    standing, rival = (_rigid_error(reference, image, movement, region) for movement in (found, other))
+    return other if rival < CLEARLY_ALIKE * standing else found
+
+
+def _rigid_error(reference: Image, image: Image, movement: Affine, region: Mask) -> float:
+    """Give how far the moved image misses the reference on its rigid part: root mean square colour, 0 to 1."""
+    difference = aligned(image, "", movement).image - reference
+    square = (difference * difference).mean(axis=2)
+    return float(np.sqrt((square * region).sum() / region.sum()))
 
 
 def _anchor_points(reference: Image, region: Mask) -> tuple[Points, AnyArray]:
@@ -199,6 +219,11 @@ def _robust_affine(source: Points, target: Points, prior: AnyArray, kind: Regist
         scale = max(SCALE_FLOOR_PX, 1.4826 * float(np.median(residual)))
         weight = prior / (1 + (residual / scale) ** 2) ** 2
     return found
+
+
+def fitted_similarity(source: Points, target: Points) -> Affine:
+    """Fit scale, turn and shift, (2, 3), between points (m, 2) and (m, 2), robustly: those far off count little."""
+    return _robust_affine(source, target, np.ones(len(source)), "similarity")
 
 
 def _similarity(source: Points, target: Points, weight: AnyArray) -> Affine:

@@ -5,7 +5,8 @@ them, so that the flow finds everything it needs to make the other frames (Nagle
 that wish. What counts about a frame is how well it reaches the frames that are hardest to reach, not the many easy
 ones: extreme frames lose, those in the middle win. Among frames that do about equally well, the one is taken whose
 mouth is half way between the most closed and the most open of the clip: from a closed mouth no warp makes an open one,
-and the mean face then shows the ghost of it.
+and the mean face then shows the ghost of it. Where the points of the face are known, the one is taken that is nearest
+to rest with the lips slightly apart: with the flow held to the points (`anchoring`) models then share their zero.
 """
 
 from __future__ import annotations
@@ -28,6 +29,7 @@ SMALL_SIDE_PX = 100  # of the frames compared
 HARDEST = 0.25  # share of the frames, the hardest to reach, whose mean error is the score
 EXTREMES = (5, 95)  # percentiles; a hand before the mouth in one frame must not decide what half open is
 ABOUT_EQUAL = 1.05  # times the best score; within it the mouth decides
+NEARLY_EQUAL = 1.15  # times the best score; within it rest decides, where the points of the face tell it
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,8 +57,13 @@ def shrunk(image: Image, mask: Mask) -> tuple[Image, Mask]:
     )
 
 
-def search(images: list[Image], contrasts: AnyArray, mask: Mask) -> Steps[tuple[int, dict[int, float]]]:
+def search(
+    images: list[Image], contrasts: AnyArray, mask: Mask, far: AnyArray | None = None
+) -> Steps[tuple[int, dict[int, float]]]:
     """Search the reference among small images (h, w, 3) with these mouth contrasts; a generator of steps.
+
+    Where `far` (n,) tells how far each face is from rest (`facerest`), it decides instead of the contrasts; inf means
+    that no face is known there.
 
     Returns its place, and the error of each place that was tried. The error of a pair is what the reference does not
     show: how far the frame, warped to the reference, misses it, rms colour inside the mask; the error of a candidate is
@@ -64,8 +71,9 @@ def search(images: list[Image], contrasts: AnyArray, mask: Mask) -> Steps[tuple[
     """
     first = spread(len(images), CANDIDATES)
     middle = _half_open(contrasts)
+    off = np.abs(contrasts - middle) if far is None else far
     rest = np.setdiff1d(np.arange(len(images)), first)
-    second = rest[np.abs(contrasts[rest] - middle).argsort(kind="stable")][:HALF_OPEN]
+    second = rest[off[rest].argsort(kind="stable")][:HALF_OPEN]
     tried = np.concatenate([first, second]).astype(np.intp)
     targets = [images[i] for i in spread(len(images), TARGETS)]
 
@@ -79,9 +87,9 @@ def search(images: list[Image], contrasts: AnyArray, mask: Mask) -> Steps[tuple[
     for place, found in zip(tried, in_order(error, tried), strict=True):
         errors[int(place)] = found
         yield Step("reference", len(errors), len(tried))
-    limit = ABOUT_EQUAL * min(errors.values())
+    limit = (ABOUT_EQUAL if far is None else NEARLY_EQUAL) * min(errors.values())
     good = np.array([place for place, found in errors.items() if found <= limit])
-    return int(good[np.abs(contrasts[good] - middle).argmin()]), errors
+    return int(good[off[good].argmin()]), errors
 
 
 def _half_open(contrasts: AnyArray) -> float:

@@ -19,6 +19,7 @@ from bench_tables import tell
 from morphspace.arrays import AnyArray, Displacement, Image, Mask
 from morphspace.build import Build, BuildSettings, build_steps
 from morphspace.errors import BadInput
+from morphspace.facefinder import FaceFinder
 from morphspace.faces import Frame, Framing
 from morphspace.files.clips import open_clip
 from morphspace.files.framed import FramedClip
@@ -70,16 +71,18 @@ class Trial:
         return tuple(index for index in range(len(self.frames)) if index not in self.held_out)
 
 
-def trial(data: Path, name: str, work: Path) -> Trial:
+def trial(data: Path, name: str, work: Path, finder: FaceFinder | None = None) -> Trial:
     """Build the model of a clip's training frames; what is costly is taken from the work folder where it is there.
 
+    With a `finder` the build and the alignment of held-out frames use the points of the face.
     Call it inside `remembered_flow`, so that the flow of held-out frames is kept as well.
     """
     source = clip_frames(data, name)
     train, test = split(len(source.names))
     kept = FramedClip(source.clip.subset(train), source.framing)
     tell(f"{name}: model of {len(train)} frames")
-    build = result_of(build_steps(kept, BuildSettings(), work / "builds" / name, {"identity": name}))
+    settings = BuildSettings(finder=finder)
+    build = result_of(build_steps(kept, settings, work / "builds" / name, {"identity": name}))
     frames = {index: build.frame(place)[0] for place, index in enumerate(train)}
     tell(f"{name}: {len(test)} held-out frames")
     for index, image in zip(test, source.images(test), strict=True):

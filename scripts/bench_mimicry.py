@@ -7,6 +7,7 @@ source, drawn from all their loadings; what is judged are the pictures of the ta
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Literal
 
 import face_judge_runner
 import judge_measures
@@ -20,7 +21,7 @@ from morphspace.errors import BadInput
 from morphspace.facepoints import MESH_COUNT
 from morphspace.files.images import write_image
 from morphspace.keypoints import affine_between_models, landmarks_of
-from morphspace.mimic import MAX_SD, METHODS, Method, mimic, offset_of
+from morphspace.mimic import MAX_SD, METHODS, Method, auto_gain, mimic, offset_of
 from morphspace.model import MorphModel, load_model
 from morphspace.progress import result_of
 from morphspace.reference import spread
@@ -35,11 +36,11 @@ PAIRS = (
     ("lp_d18", "lp_d0"),
     ("grid_pwij3p", "lp_d18"),
 )
-WAYS: dict[str, tuple[Method, float, float]] = {
+WAYS: dict[str, tuple[Method, float | Literal["auto"], float]] = {
     **{method: (method, 1.0, MAX_SD) for method in METHODS},
-    "transfer, gain 1.4, 5 SD": ("transfer", 1.4, 5.0),
-    "guided, 5 SD": ("guided", 1.0, 5.0),
-    "guided, gain 1.2, 5 SD": ("guided", 1.2, 5.0),
+    "transfer, auto": ("transfer", "auto", MAX_SD),
+    "guided, auto": ("guided", "auto", MAX_SD),
+    "guided, auto, 5 SD": ("guided", "auto", 5.0),
 }
 """By name: method, gain, bound in SD."""
 SPLINE = "spline"
@@ -56,7 +57,8 @@ def mimicry(data: Path, work: Path, judge: str) -> None:
     print("## Mimicry\n")
     print(
         f"Six pairs of models at {SIZE[0]} x {SIZE[1]}, k = {COMPONENTS}, keypoints by `keypoints --auto`; {FRAMES} "
-        "training faces of the source drive, gain 1 and a bound of 3 SD unless it says otherwise. For each measure of "
+        "training faces of the source drive, gain 1 and a bound of 3 SD unless it says otherwise; `guided, auto` is what "
+        "`morphspace mimic` does by default. For each measure of "
         "the judge (68 landmarks of dlib, in eye distances): "
         "r / slope of the mimicry on the source; then their means, the distance of the identity embedding to the "
         "target and to the source (one person: below .6), and folded cells. Goals: mean r >= "
@@ -145,7 +147,8 @@ def _drawn(model: MorphModel, folder: Path) -> Path:
 
 def _driven(source: MorphModel, target: MorphModel, way: str, folder: Path) -> tuple[Path, float]:
     """Draw the target as the source drives it; give the folder and the mean share of folded cells."""
-    method, gain, max_sd = WAYS[way]
+    method, asked, max_sd = WAYS[way]
+    gain = auto_gain(source, target, method) if asked == "auto" else asked
     to_target = mimic(source, target, method, gain=gain, max_sd=max_sd)
     folds = []
     for index in spread(len(source.training.values), FRAMES):

@@ -140,7 +140,7 @@ def test_of_a_long_clip_evenly_spread_frames_are_looked_at_for_the_reference(cli
     looked_at = []
     search = build_module.search
 
-    def searching(images, contrasts, mask):
+    def searching(images, contrasts, mask, far=None):
         place, errors = yield from search(images, contrasts, mask)
         looked_at.append((images, contrasts, mask, place))
         return place, errors

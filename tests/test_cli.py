@@ -10,6 +10,7 @@ import signal
 import subprocess
 import sys
 import time
+from collections.abc import Iterator
 from pathlib import Path
 
 import click
@@ -42,6 +43,14 @@ def refused(result: Result, *mentioned: str) -> None:
         assert word in result.stderr
 
 
+@pytest.fixture(scope="module", autouse=True)
+def without_networks(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
+    """What a build writes must not depend on whether this machine has the networks that find faces."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("MORPHSPACE_MODELS", str(tmp_path_factory.mktemp("none")))
+        yield
+
+
 @pytest.fixture(scope="module")
 def actor(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A drawn clip of eight frames, 64 x 80."""
@@ -57,6 +66,25 @@ def model(actor: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     result = run("build-model", actor, "-o", path, *FAST)
     assert result.exit_code == 0, result.output
     return path
+
+
+def test_a_build_without_the_networks_says_once_how_to_get_better(actor, tmp_path):
+    result = run("build-model", actor, "-o", tmp_path / "a.morph", *FAST)
+    assert result.exit_code == 0
+    assert result.stderr.count("morphspace models fetch") == 1
+    told = run("build-model", actor, "-o", tmp_path / "b.morph", "--landmarks", "none", *FAST)
+    assert told.exit_code == 0 and "models fetch" not in told.stderr
+    models = [load_model(tmp_path / name) for name in ("a.morph", "b.morph")]
+    assert [one.provenance["landmarks"] for one in models] == [None, None]
+    assert models[0].model_id == models[1].model_id
+    assert "not looked for" in (tmp_path / "a.html").read_text()
+
+
+def test_a_crop_that_needs_the_networks_is_refused_with_the_command_that_brings_them(actor, tmp_path):
+    result = run("build-model", actor, "-o", tmp_path / "a.morph", "--crop", "auto", *FAST)
+    refused(result, "morphspace models fetch")
+    assert not list(tmp_path.iterdir())
+    refused(run("build-model", actor, "--crop", "around"), "around", "auto")
 
 
 def test_help_of_every_verb_imports_nothing_heavy():
@@ -404,3 +432,30 @@ def test_an_image_that_is_not_finite_is_refused(model: Path):
         opened.encode(np.full_like(opened.reference, np.nan))
     with pytest.raises(BadInput, match="uint8"):
         opened.encode(np.zeros(opened.reference.shape, np.uint8))
+
+
+@pytest.mark.parametrize(
+    ("words", "kind"),
+    [
+        (("info", "nowhere.morph"), "ModelFileError"),
+        (("info",), "Usage"),
+        (("render", "a", "b", "-o", "c", "--gain", "x"), "Usage"),
+        (("nonsense",), "Usage"),
+    ],
+)
+def test_a_failure_is_json_too_for_a_machine(words, kind):
+    plain, told = run(*words), run(*words, "--json")
+    assert plain.exit_code == told.exit_code and plain.stderr == told.stderr and plain.stdout == ""
+    error = json.loads(told.stdout)["error"]
+    assert error["exit_code"] == told.exit_code and error["kind"] == kind
+    assert told.stderr == f"morphspace: {error['message']}\n"
+
+
+def test_a_fault_of_ours_is_json_too(monkeypatch):
+    from morphspace.verbs import info
+
+    monkeypatch.setattr(info, "run", lambda request: 1 / 0)
+    result = run("info", "a.morph", "--json")
+    error = json.loads(result.stdout)["error"]
+    assert (result.exit_code, error["exit_code"], error["kind"]) == (1, 1, "Fault")
+    assert "ZeroDivisionError" in error["message"]

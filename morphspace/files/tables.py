@@ -227,6 +227,10 @@ def _number(path: Path, line: int, heading: str, cell: str) -> float:
 
 
 def _float_or_none(cell: str) -> float | None:
+    if (
+        not cell.isascii() or "_" in cell
+    ):  # Python takes 1_0 and digits of other scripts, which no table means
+        return None
     try:
         return float(cell)
     except ValueError:

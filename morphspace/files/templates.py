@@ -17,7 +17,7 @@ import numpy as np
 
 from morphspace.arrays import Points
 from morphspace.errors import BadInput, UnreadableFile
-from morphspace.files.landmarks import SUFFIXES, _Lines, _lines, _point, _shown, read_landmarks
+from morphspace.files.landmarks import SUFFIXES, Lines, numbered_lines, point_of, quoted, read_landmarks
 from morphspace.files.sidecars import read_faceframe
 
 LipName: TypeAlias = Literal["philtrum", "upper-lip"]
@@ -141,7 +141,7 @@ def read_tps(path: str | Path) -> tuple[tuple[str, Points], ...]:
     Curves are passed over, SCALE= is left alone: the points are in px. Raises `BadInput` with the line that is wrong.
     """
     path = Path(path)
-    lines = _lines(path)
+    lines = numbered_lines(path)
     if not lines:
         raise UnreadableFile(f"{path} is empty: LM= and the landmarks were expected")
     specimens: list[tuple[str, Points]] = []
@@ -151,24 +151,19 @@ def read_tps(path: str | Path) -> tuple[tuple[str, Points], ...]:
         heading = LANDMARK_HEADING.fullmatch(text)
         if SOLID_HEADING.fullmatch(text):
             raise BadInput(
-                f"{path}, line {number}: {_shown(text)}, landmarks of a picture (LM=) were expected"
+                f"{path}, line {number}: {quoted(text)}, landmarks of a picture (LM=) were expected"
             )
         if heading is None:
-            raise BadInput(f"{path}, line {number}: {_shown(text)}, LM= and a count were expected")
+            raise BadInput(f"{path}, line {number}: {quoted(text)}, LM= and a count were expected")
         count = int(heading[1])
-        rows = lines[at + 1 : at + 1 + count]
-        if len(rows) < count or any(OTHER_HEADING.fullmatch(row) for _, row in rows):
-            raise BadInput(
-                f"{path}, line {number}: {count} landmarks are announced, fewer follow: export it again"
-            )
-        points = np.array([_point(path, line, row) for line, row in rows], np.float64).reshape(count, 2)
+        points = _points_after(path, number, "landmarks", lines[at + 1 : at + 1 + count], count)
         at, words = _headings(path, lines, at + 1 + count)
         name = words.get("IMAGE") or words.get("ID") or str(len(specimens) + 1)
         specimens.append((name, points))
     return tuple(specimens)
 
 
-def _headings(path: Path, lines: _Lines, at: int) -> tuple[int, dict[str, str]]:
+def _headings(path: Path, lines: Lines, at: int) -> tuple[int, dict[str, str]]:
     """Read KEY=value lines up to the next LM=, passing over the points of curves; give the next line's place."""
     words: dict[str, str] = {}
     while at < len(lines):
@@ -177,13 +172,24 @@ def _headings(path: Path, lines: _Lines, at: int) -> tuple[int, dict[str, str]]:
             break
         if not OTHER_HEADING.fullmatch(text):
             raise BadInput(
-                f"{path}, line {number}: {_shown(text)} follows the landmarks that were announced: export it again"
+                f"{path}, line {number}: {quoted(text)} follows the landmarks that were announced: export it again"
             )
         key, value = text.split("=", 1)
         words[key.strip().upper()] = value.strip()
-        curve = CURVE_HEADING.fullmatch(text)
-        at += 1 + (int(curve[1]) if curve else 0)
+        at += 1
+        if curve := CURVE_HEADING.fullmatch(text):
+            _ = _points_after(
+                path, number, "points of a curve", lines[at : at + int(curve[1])], int(curve[1])
+            )
+            at += int(curve[1])
     return at, words
+
+
+def _points_after(path: Path, number: int, what: str, rows: Lines, count: int) -> Points:
+    """Read the `count` points that line `number` announces, (count, 2); `rows` are the lines after it."""
+    if len(rows) < count or any(OTHER_HEADING.fullmatch(row) for _, row in rows):
+        raise BadInput(f"{path}, line {number}: {count} {what} are announced, fewer follow: export it again")
+    return np.array([point_of(path, line, row) for line, row in rows], np.float64).reshape(count, 2)
 
 
 def _one_specimen(path: Path, specimens: Sequence[tuple[str, Points]]) -> Points:

@@ -24,6 +24,7 @@ LOST_SCALE = 1.3  # times the median size, or one over it: no head comes so much
 HEAD_DEPTH_SHARE = 0.02  # of the frame's width, rms left in the rigid part: expressions alone stay below it
 EXPOSURE_RANGE_STOPS = 0.25  # 8 % in coded values: as much as the shading of an expression
 EXPOSURE_DRIFT_CORRELATION = 0.7  # of exposure with time: above it the light drifts, below it flickers
+EYES_LEAST_SHARE = 0.18  # of the frame's width from eye to eye; frames cropped to the head have 0.23 to 0.30
 MOUTH_REACH = 0.04  # of the mouth region's contrast over a clip; below it the mouth hardly opens
 MOUTH_CLOSED = 0.12  # of that reach; on six clips two shut references lay below 0.05, the others above 0.14
 MOUTH_SLIGHTLY_OPEN = (0.2, 0.6)  # of that reach: what the paper asks for, some teeth and some dark
@@ -171,6 +172,48 @@ def exposure_changed(case: Case) -> Iterator[Advice]:
         "expression. Film with exposure and white balance locked, away from daylight and flickering lamps, or give "
         "the frames equal brightness before building.",
     )
+
+
+def face_not_found(case: Case) -> Iterator[Advice]:
+    """Fire where the detector did not find a face in some frames."""
+    found = case.build.faces_found
+    if found is None or found.all():
+        return
+    missing = np.flatnonzero(~found)
+    if not found.any():
+        yield Advice(
+            "face",
+            "consider",
+            "The face was found in no frame, so nothing of this build rests on it. If the clip shows a face, crop it "
+            "closer (--crop auto, or a box).",
+        )
+        return
+    yield Advice(
+        "face",
+        "consider",
+        f"The face was not found in {_frames(len(missing))} ({case.named(missing)}), which went without its points. "
+        "Look at them: a hand before the face or a head turned away does not belong in the model.",
+    )
+
+
+def face_small(case: Case) -> Iterator[Advice]:
+    """Fire where the eyes are so near to each other that the face fills little of the frame."""
+    model = case.build.model
+    if (
+        case.build.faces_found is None
+        or model.faceframe is None
+        or "crop_found" in model.provenance["framing"]
+    ):
+        return
+    right, left, _ = model.faceframe.points
+    share = float(np.hypot(*(left - right))) / model.size[0]
+    if share < EYES_LEAST_SHARE:
+        yield Advice(
+            "face_small",
+            "mend",
+            f"The face is small in the frame: the eyes are {100 * share:.0f} % of its width apart, in a frame cropped "
+            "to the head they are 25 to 30 %. Build again with --crop auto.",
+        )
 
 
 def mouth_closed(case: Case) -> Iterator[Advice]:
@@ -344,6 +387,8 @@ RULES: tuple[Callable[[Case], Iterator[Advice]], ...] = (
     head_moved,
     head_turned,
     exposure_changed,
+    face_not_found,
+    face_small,
     mouth_closed,
     frames_fold,
     flow_unsure,

@@ -31,8 +31,10 @@ class MeasuredImitation:
     """What the page shows.
 
     `comparison` | `stimulus_sd` (n, k), `imitation_sd` (m, k) | `rate_hz` of both or None | `names` of stimulus,
-    imitation and model | `pairs` a few frames, label and the two pictures | `notes` to read first | `video` its file
-    name, `panels` what it shows from left to right | `settings` name to value.
+    imitation and model | `pairs` a few frames, label and the two pictures | `notes` to read first | `still` says that
+    one does not move, or nothing | `read_in` whose model the imitation was read in, where it is another's than the
+    stimulus' | `video` its file name, `panels` what it shows from left to right | `settings` name to value | `rows` of
+    the table by name, `reasons` why cells of each are empty.
     """
 
     comparison: Comparison
@@ -42,6 +44,8 @@ class MeasuredImitation:
     names: tuple[str, str, str]
     pairs: Sequence[tuple[str, Image, Image]]
     notes: Sequence[str]
+    still: Sequence[str]
+    read_in: str | None
     video: str
     panels: Sequence[str]
     settings: Mapping[str, str]
@@ -52,10 +56,13 @@ class MeasuredImitation:
 def imitation_page(shown: MeasuredImitation) -> str:
     """Give the page as HTML. Ours; the measures are those of Nagle section 5.1."""
     stimulus, imitation, model = shown.names
+    where = f"Measured in the expression space of {model}"
+    if shown.read_in:
+        where += f"; the imitation was read in the model of {shown.read_in} and carried over by mimicry"
     title = f"{imitation} imitates {stimulus}"
     parts = [
         element("h1", text(title)),
-        element("p", text(f"Measured in the expression space of {model}"), class_="kicker"),
+        element("p", text(where), class_="kicker"),
         _figures(shown),
         notes_section(shown.notes),
         _faces(shown),
@@ -101,7 +108,7 @@ def _figures(shown: MeasuredImitation) -> Html:
         (number(_last(shown, "gain")), "gain: size of the imitation's motion along the stimulus'"),
         (number(_last(shown, "distance_sd")), "SD of distance, root mean square over frames"),
     ]
-    return key_figures(entries)
+    return key_figures(entries[-1:] if shown.still else entries)
 
 
 def _faces(shown: MeasuredImitation) -> Html:
@@ -144,6 +151,8 @@ def _traces(shown: MeasuredImitation) -> Html:
 
 def _timing(shown: MeasuredImitation) -> Html:
     comparison = shown.comparison
+    if shown.still:
+        return section("timing", "Timing", *map(sentence, shown.still))
     parts = []
     lag = _last(shown, "lag_frames")
     if np.isfinite(lag):
@@ -226,11 +235,11 @@ def _table(shown: MeasuredImitation) -> Html:
         )
         for place in order
     ]
-    undefined = [
-        element("li", text(f"{name}: {reason}"))
-        for name, reason in zip(shown.rows, shown.reasons, strict=True)
-        if reason
-    ]
+    undefined: dict[str, list[str]] = {}
+    for name, reason in zip(shown.rows, shown.reasons, strict=True):
+        if reason:
+            undefined.setdefault(reason, []).append(name)
+    items = [element("li", text(f"{reason}: {', '.join(names)}")) for reason, names in undefined.items()]
     return section(
         "measures",
         "Measures",
@@ -239,7 +248,7 @@ def _table(shown: MeasuredImitation) -> Html:
             ("Component", *(heading for _, heading, _ in COLUMNS)),
             rows,
         ),
-        *([sentence("Undefined, shown as a dash:"), element("ul", *undefined)] if undefined else []),
+        *([sentence("Undefined, shown as a dash:"), element("ul", *items)] if items else []),
     )
 
 

@@ -7,6 +7,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 from morphspace.build import Build
+from morphspace.model import MorphModel
 from morphspace.report.markup import TIMES, Html, element, section, table, text
 
 DIGEST = re.compile(r"[0-9a-f]{17,}")
@@ -18,6 +19,8 @@ TOLD_ABOVE = (
     "flow_start",
     "components_asked",
     "warp_weight_trials",
+    "mask_from",
+    "landmarks",
 )  # shown elsewhere on the page
 NOT_RECORDED = "not recorded"
 
@@ -39,6 +42,8 @@ def settings_section(build: Build) -> Html:
         ("Frames", len(model.training.frame_names)),
         ("Reference", build.choice.name),
         ("Reference picture, SHA-256", reference.get("sha256", NOT_RECORDED)),
+        ("Crop", crop_origin(model)),
+        ("Face points", face_points(build)),
         ("Registration", model.registration),
         ("Flow", model.flow),
         ("Second start for hard frames", model.provenance.get("flow_start", NOT_RECORDED)),
@@ -48,8 +53,8 @@ def settings_section(build: Build) -> Html:
         ),
         ("Warp weight, colour per px", f"{model.warp_weight:.6g}"),
         ("Variance left out, per dimension", f"{model.basis.discarded_variance:.4g}"),
-        ("Mask, % of the frame", f"{100 * model.mask.mean():.1f}"),
-        ("Faceframe on the mean face (x, y), px", points),
+        ("Mask", f"{mask_origin(model)}, {100 * model.mask.mean():.1f} % of the frame"),
+        ("Faceframe on the mean face (x, y), px", f"{points}{faceframe_origin(model)}"),
     ]
     rows = [(text(name), value_of(value)) for name, value in settings]
     told = {key: model.provenance.get(key) or NOT_RECORDED for key in FIRST_KEYS}
@@ -62,6 +67,51 @@ def settings_section(build: Build) -> Html:
         table("Settings of the build.", columns, rows, class_="pairs"),
         table("Where the frames came from, as it was recorded with them.", columns, origin, class_="pairs"),
     )
+
+
+MASK_ORIGINS = {
+    "given": "drawn and given",
+    "found face": "an ellipse placed by the face found in the reference",
+    "ellipse": "an ellipse where a cropped face stands",
+    "faceframe": "an ellipse placed by the marked faceframe",
+}
+
+
+def mask_origin(model: MorphModel) -> str:
+    """Say where the mask came from."""
+    return MASK_ORIGINS.get(str(model.provenance.get("mask_from")), NOT_RECORDED)
+
+
+def crop_origin(model: MorphModel) -> str:
+    """Say which part of the pictures was used, and how it was found."""
+    framing = model.provenance.get("framing", {})
+    crop = framing.get("crop")
+    if crop is None:
+        return "none, whole pictures"
+    box = "x {}, y {}, {} {} {} px".format(*crop[:3], TIMES, crop[3])
+    found = framing.get("crop_found")
+    if found is None:
+        return f"{box}, as given"
+    return f"{box}, around the head as found in {found['found']} of {found['frames']} frames"
+
+
+def face_points(build: Build) -> str:
+    """Say in how many frames the face was found."""
+    if build.faces_found is None:
+        return "not looked for"
+    found, count = int(build.faces_found.sum()), len(build.faces_found)
+    without = "" if found == count else "; the others went without"
+    return f"found in {found} of {count} frames{without}"
+
+
+def faceframe_origin(model: MorphModel) -> str:
+    """Say where the faceframe came from, to stand behind it."""
+    if model.faceframe is None:
+        return ""
+    origin = model.provenance.get("keypoints")
+    if isinstance(origin, Mapping) and origin.get("source") == "auto":
+        return f"; detected in {origin['found']} of {origin['faces']} faces of the model"
+    return "; as marked"
 
 
 def flattened(

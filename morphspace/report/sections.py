@@ -27,6 +27,7 @@ from morphspace.report.markup import (
     text,
 )
 from morphspace.report.plots import SMALL_SIZE, Mark, Plot, line_plot, share_plot
+from morphspace.report.provenance import mask_origin
 
 COMPONENTS_SHOWN = 8
 WORST_NAMED = 3  # in the plot
@@ -125,7 +126,8 @@ def faces_section(build: Build) -> Html:
             marked,
             element("strong", text("Mask.")),
             text(
-                f" White: where the mask passes one half, {100 * model.mask.mean():.0f} % of the frame. Dashed: "
+                f" White: where the mask passes one half, {100 * model.mask.mean():.0f} % of the frame; it is "
+                f"{mask_origin(model)}. Dashed: "
                 f"the rigid part. Dotted: where the mouth is looked for{points}."
             ),
         ),

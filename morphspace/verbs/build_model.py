@@ -7,13 +7,14 @@ import shutil
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
 from morphspace.arrays import Mask
 from morphspace.build import COMPONENTS, Build, BuildSettings, build_steps
 from morphspace.errors import BadInput
+from morphspace.facefinder import own_finder
 from morphspace.faces import FaceFrame, Framing, RegistrationKind
 from morphspace.files.clips import Clip, open_clip
 from morphspace.files.framed import FramedClip
@@ -21,10 +22,12 @@ from morphspace.files.images import read_mask
 from morphspace.files.sidecars import MarkedFaceframe
 from morphspace.flow import methods
 from morphspace.flow.starts import StartKind
+from morphspace.headcrop import FoundCrop
 from morphspace.model import MorphModel
 from morphspace.progress import Steps, result_of
 from morphspace.report import Case, advice_for, measure_frames, write_report
 from morphspace.storage import digest_of_array
+from morphspace.verbs.finding import Landmarks, crop_steps, finder_for
 from morphspace.verbs.outcome import Outcome, check_file, check_folder, versions
 from morphspace.warp import apply_affine, inverse_affine
 
@@ -33,6 +36,9 @@ MOST_WEIGHT = 1000.0  # colour per px; builds choose 0.02 to 0.1
 LEAST_FACEFRAME_PX = 4.0  # below it the points do not place a face
 DEFAULT_SIZE = (200, 240)  # Nagle section 2
 
+Crop = tuple[int, int, int, int] | Literal["auto"]
+"""A box (x, y, w, h) px of every frame, or `auto`: around the head, as found in a spread of frames."""
+
 
 @dataclass(frozen=True)
 class BuildModelRequest:
@@ -40,10 +46,11 @@ class BuildModelRequest:
 
     `sources` a folder, a glob, a video or files; `output` the .morph file, None for one named after the clip;
     `report` the page, None for one beside the model; `components` the most to keep; `size` (w, h) px or None for the
-    frames' own (200 x 240 where they are larger than 400 px); `crop` (x, y, w, h) px; `mask` a grey picture of the
-    reference's size, white where the face is; `reference` a frame's name or file, None to choose; `start` "auto" tries
-    hard frames again from a neighbour's flow, "none" does not; `warp_weight` colour per px, None to cross-validate;
-    `work_folder` kept when given, else beside the output and removed at the end.
+    frames' own (200 x 240 where they are larger than 400 px); `crop` (x, y, w, h) px, or "auto" for one around the
+    head; `landmarks` "auto" finds the face in every frame where the detector's files are, "none" does not; `mask` a
+    grey picture of the reference's size, white where the face is; `reference` a frame's name or file, None to choose;
+    `start` "auto" tries hard frames again from a neighbour's flow, "none" does not; `warp_weight` colour per px, None
+    to cross-validate; `work_folder` kept when given, else beside the output and removed at the end.
     """
 
     sources: tuple[str, ...]
@@ -51,7 +58,8 @@ class BuildModelRequest:
     report: Path | None = None
     components: int = COMPONENTS
     size: tuple[int, int] | None = None
-    crop: tuple[int, int, int, int] | None = None
+    crop: Crop | None = None
+    landmarks: Landmarks = "auto"
     mask: Path | None = None
     reference: str | None = None
     registration: RegistrationKind = "similarity"
@@ -76,7 +84,8 @@ def run(request: BuildModelRequest) -> Steps[Outcome]:
         build, notes = yield from build_clip(clip, request, work_folder)
         figures = yield from measure_frames(build)
         build.model.save(output)
-        write_report(report, build, figures, source_size=source_size(clip.size, request.crop))
+        used = _used_size(build.model)
+        write_report(report, build, figures, source_size=used)
     model = build.model
     psnr = np.array(figures.psnr_db)
     share = explained_variance(model)
@@ -88,6 +97,7 @@ def run(request: BuildModelRequest) -> Steps[Outcome]:
         f"percentile); {build.fold_fractions.mean():.2%} of the warp folds",
         f"flow {model.flow}: confidence {build.confidences.mean():.2f} (mean), {build.confidences.min():.2f} (lowest); "
         f"{int(build.from_neighbour.sum())} frames kept from a neighbour's start",
+        *_found_lines(build),
         f"report: {report}",
     )
     document = {
@@ -107,8 +117,11 @@ def run(request: BuildModelRequest) -> Steps[Outcome]:
         "flow_confidence_mean": float(build.confidences.mean()),
         "flow_confidence_lowest": float(build.confidences.min()),
         "neighbour_starts": int(build.from_neighbour.sum()),
+        "crop": model.provenance["framing"]["crop"],
+        "frames_with_face": None if build.faces_found is None else int(build.faces_found.sum()),
+        "keypoints": None if model.faceframe is None else model.faceframe.points.tolist(),
     }
-    case = Case(build, figures, source_size(clip.size, request.crop))
+    case = Case(build, figures, used)
     advice = tuple(item.text for item in advice_for(case) if item.level == "mend")
     return Outcome(lines, document, (*notes, *dict.fromkeys((*build.warnings, *advice))), (output, report))
 
@@ -132,9 +145,15 @@ def build_clip(
     clip: Clip, request: BuildModelRequest, work_folder: Path
 ) -> Steps[tuple[Build, tuple[str, ...]]]:
     """Build from an open clip; give the build, and notes on what was done to the frames."""
-    framing = Framing(clip.size, request.crop, request.size or default_size(clip.size, request.crop))
+    finder, missing = finder_for(request.landmarks)
+    notes = list(missing)
+    crop, found_crop = request.crop, None
+    if crop == "auto":
+        width, height = request.size or DEFAULT_SIZE
+        found_crop = yield from crop_steps(clip, finder or own_finder(), width / height)
+        crop = found_crop.box
+    framing = Framing(clip.size, crop, request.size or default_size(clip.size, crop))
     source = FramedClip(clip, framing)
-    notes = []
     if max(framing.cut_off) > 0:
         notes.append(
             f"frames of {framing.box[2]}x{framing.box[3]} are scaled to {framing.scaled_size[0]}x"
@@ -152,9 +171,10 @@ def build_clip(
         mask=mask,
         faceframe=faceframe,
         faceframe_index=faceframe_index,
+        finder=finder,
     )
     build = yield from build_steps(
-        source, settings, work_folder, _provenance(clip, source, request, mask_digest)
+        source, settings, work_folder, _provenance(clip, source, request, mask_digest, found_crop)
     )
     return build, tuple(notes)
 
@@ -163,7 +183,8 @@ def build_model(
     *sources: str | Path,
     components: int = COMPONENTS,
     size: tuple[int, int] | None = None,
-    crop: tuple[int, int, int, int] | None = None,
+    crop: Crop | None = None,
+    landmarks: Landmarks = "auto",
     mask: Path | None = None,
     reference: str | None = None,
     registration: RegistrationKind = "similarity",
@@ -184,6 +205,7 @@ def build_model(
         components=components,
         size=size,
         crop=crop,
+        landmarks=landmarks,
         mask=mask,
         reference=reference,
         registration=registration,
@@ -210,6 +232,29 @@ def check_request(request: BuildModelRequest) -> None:
             f"a warp weight of {weight} cannot be used: give a number above 0, at most "
             f"{MOST_WEIGHT:g} colour per px, or auto"
         )
+
+
+def _used_size(model: MorphModel) -> tuple[int, int]:
+    """Give the size (w, h) px of what was used of each image."""
+    framing = model.provenance["framing"]
+    width, height = framing["source_size"] if framing["crop"] is None else framing["crop"][2:]
+    return int(width), int(height)
+
+
+def _found_lines(build: Build) -> tuple[str, ...]:
+    """Say in how many frames the face was found, and what the crop is where it was found."""
+    framing = build.model.provenance["framing"]
+    lines: tuple[str, ...] = ()
+    if "crop_found" in framing:
+        told = framing["crop_found"]
+        box = ",".join(map(str, framing["crop"]))
+        lines += (f"crop {box}: around the head, found in {told['found']} of {told['frames']} frames",)
+    if build.faces_found is not None:
+        keypoints = "set" if build.model.faceframe is not None else "not set"
+        lines += (
+            f"face found in {int(build.faces_found.sum())} of {len(build.faces_found)} frames; keypoints {keypoints}",
+        )
+    return lines
 
 
 def source_size(size: tuple[int, int], crop: tuple[int, int, int, int] | None) -> tuple[int, int]:
@@ -276,7 +321,11 @@ def _faceframe(clip: Clip, framing: Framing) -> tuple[FaceFrame | None, int | No
 
 
 def _provenance(
-    clip: Clip, source: FramedClip, request: BuildModelRequest, mask_digest: str | None
+    clip: Clip,
+    source: FramedClip,
+    request: BuildModelRequest,
+    mask_digest: str | None,
+    found_crop: FoundCrop | None,
 ) -> dict[str, Any]:
     framing = source.framing
     return {
@@ -288,6 +337,7 @@ def _provenance(
             "source_size": list(framing.source_size),
             "crop": None if framing.crop is None else list(framing.crop),
             "size": list(framing.size),
+            **({} if found_crop is None else {"crop_found": found_crop.document}),
         },
         "mask_sha256": mask_digest,
         "inputs": dict(zip(clip.frame_names, source.file_digests, strict=True)),

@@ -53,7 +53,10 @@ def run(request: DemoRequest) -> Steps[Outcome]:
     for name in drawn.document["actors"]:
         built = yield from build_model.run(
             build_model.BuildModelRequest(
-                sources=(str(actors / name),), output=request.output / f"{name}.morph", components=COMPONENTS
+                sources=(str(actors / name),),
+                output=request.output / f"{name}.morph",
+                components=COMPONENTS,
+                landmarks="none",  # drawn faces come at rest and cropped; the demo is the same on every machine
             )
         )
         model = load_model(request.output / f"{name}.morph")

@@ -13,7 +13,7 @@ from morphspace.files.tables import LOADINGS_FORMAT, write_loadings_table
 from morphspace.model import Loadings, MorphModel, load_model
 from morphspace.progress import Step, Steps
 from morphspace.storage import digest_of_file
-from morphspace.verbs.encoding import encoded_frames, framed_for, joined
+from morphspace.verbs.encoding import encoded_frames, framed_for, joined, notes_on_alignment
 from morphspace.verbs.outcome import Outcome, check_file, check_folder, versions
 
 
@@ -54,7 +54,7 @@ def run(request: EncodeRequest) -> Steps[Outcome]:
         "components": model.rank,
         "furthest_sd": furthest,
     }
-    return Outcome(lines, document, (), written)
+    return Outcome(lines, document, notes_on_alignment(model), written)
 
 
 def write_loadings(

@@ -7,7 +7,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from morphspace.anchoring import was_anchored
 from morphspace.arrays import Image
+from morphspace.detection import models_present
+from morphspace.detection.models import FETCH_COMMAND
 from morphspace.faces import Frame, Framing
 from morphspace.files.clips import open_clip
 from morphspace.files.framed import FramedClip
@@ -39,7 +42,6 @@ def framed_for(
 
 def encoded_frames(model: MorphModel, source: FramedClip) -> Iterator[EncodedFrame]:
     """Encode each frame of the clip, in order, a few at a time."""
-
     flow = model.flow_from_reference  # prepared here, once, and not by each thread
 
     def encode(item: tuple[str, Image]) -> EncodedFrame:
@@ -50,6 +52,16 @@ def encoded_frames(model: MorphModel, source: FramedClip) -> Iterator[EncodedFra
 
     indices = list(range(len(source.names)))
     yield from in_order(encode, zip(source.names, source.images(indices), strict=True))
+
+
+def notes_on_alignment(model: MorphModel) -> tuple[str, ...]:
+    """Say where frames are brought to the reference with less than the build had."""
+    if not was_anchored(model.provenance) or models_present():
+        return ()
+    return (
+        f"{model.identity} was built with face points, and what finds them is not here now: frames are read by flow "
+        f"alone, less like the model's own; run `{FETCH_COMMAND}` once",
+    )
 
 
 def joined(model: MorphModel, parts: list[Loadings]) -> Loadings:

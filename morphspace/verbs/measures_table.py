@@ -17,6 +17,7 @@ from morphspace.storage import json_text, write_text
 from morphspace.verbs.outcome import versions
 
 FORMAT, VERSION = "morphspace-imitation", 1
+NAMED = 5  # components in a sentence
 ALL = "all"  # the row of all components together
 
 # In the order of the table: name -> (unit, what it is).
@@ -87,18 +88,55 @@ def component_names(count: int) -> list[str]:
 def reasons_of(comparison: Comparison, stimulus_sd: LoadingTable, imitation_sd: LoadingTable) -> list[str]:
     """Say for each row why measures of it are undefined; empty where none is."""
     n = min(len(stimulus_sd), len(imitation_sd))
-    still = {"stimulus": ~varies(stimulus_sd[:n]), "imitation": ~varies(imitation_sd[:n])}
+    motions = {"stimulus": stimulus_sd, "imitation": imitation_sd}
     reasons = []
     for place in range(stimulus_sd.shape[1] + 1):
-        found = [
-            f"the {role} does not move"
-            for role, columns in still.items()
-            if (columns.all() if place == stimulus_sd.shape[1] else columns[place])
-        ]
-        if not found:
-            found = _missing(comparison, place, n)
-        reasons.append("; ".join(found))
+        columns = slice(None) if place == stimulus_sd.shape[1] else slice(place, place + 1)
+        found = []
+        for role, values in motions.items():
+            if not varies(values[:n, columns]).any():
+                later = f" in the first {n} frames" if varies(values[:, columns]).any() else ""
+                found.append(f"the {role} does not move{later}")
+        reasons.append("; ".join(found or _missing(comparison, place, n)))
     return reasons
+
+
+def still_names(stimulus_sd: LoadingTable, imitation_sd: LoadingTable) -> dict[str, list[str]]:
+    """Give for each of the two the components that do not move at all."""
+    names = component_names(stimulus_sd.shape[1])
+    return {
+        role: [name for name, moves in zip(names, varies(values), strict=False) if not moves]
+        for role, values in (("stimulus", stimulus_sd), ("imitation", imitation_sd))
+    }
+
+
+def still_words(stimulus_sd: LoadingTable, imitation_sd: LoadingTable) -> tuple[str, ...]:
+    """Say in one line that the stimulus, the imitation or both do not move at all; nothing where both do."""
+    count = stimulus_sd.shape[1]
+    names = [role for role, found in still_names(stimulus_sd, imitation_sd).items() if len(found) == count]
+    if not names:
+        return ()
+    n = min(len(stimulus_sd), len(imitation_sd))
+    apart = float(np.sqrt(((stimulus_sd[:n] - imitation_sd[:n]) ** 2).sum(axis=1).mean()))
+    who = (
+        f"the {names[0]} does not move" if len(names) == 1 else "neither the stimulus nor the imitation moves"
+    )
+    return (
+        f"{who}: there is no correlation, gain, lag or alignment to measure; the distance is {apart:.2f} SD",
+    )
+
+
+def still_components_words(stimulus_sd: LoadingTable, imitation_sd: LoadingTable) -> list[str]:
+    """Say which components do not move in a motion that does."""
+    words = []
+    for role, names in still_names(stimulus_sd, imitation_sd).items():
+        if 0 < len(names) < stimulus_sd.shape[1]:
+            some = ", ".join(names[:NAMED]) + (" ..." if len(names) > NAMED else "")
+            words.append(
+                f"{len(names)} of {stimulus_sd.shape[1]} components of the {role} do not move ({some}): what is "
+                "undefined for them is empty, and the column undefined says why"
+            )
+    return words
 
 
 def _missing(comparison: Comparison, place: int, n: int) -> list[str]:

@@ -18,7 +18,7 @@ from morphspace.detection import Detector
 from morphspace.errors import BadInput
 from morphspace.files.clips import Clip, open_clip
 from morphspace.files.tables import write_loadings_table
-from morphspace.mimic import METHODS, Method, auto_gain, mimic
+from morphspace.mimic import METHODS, WITH_REST, Method, auto_gain, mimic
 from morphspace.model import MorphModel
 from morphspace.progress import Steps
 from morphspace.report.mimic_page import MimicryShown, mimic_page
@@ -67,7 +67,7 @@ class MimicRequest:
     output: Path
     frames: str | None = None
     method: str = BEST
-    gain: float | Literal["auto"] = 1.0
+    gain: float | Literal["auto"] | None = None
     max_sd: float = MAX_SD
     components: int | None = None
     neutral: str = AUTOMATIC
@@ -104,10 +104,13 @@ def _steps(
     check_folder(folder / FRAMES_FOLDER)
     method, method_notes = _method(request, source.model, target.model)
     rest = rest_of(source.model, shown_target, request.neutral)
+    asked_gain = request.gain
+    if asked_gain is None:
+        asked_gain = "auto" if method in WITH_REST else 1.0
     gain = (
         auto_gain(source.model, shown_target, method, origin=rest.origin)
-        if request.gain == "auto"
-        else request.gain
+        if asked_gain == "auto"
+        else asked_gain
     )
     make = mimic(source.model, shown_target, method, gain=gain, max_sd=request.max_sd, origin=rest.origin)
     reach = reach_of(source.model, shown_target, gain, rest.offsets(source.model, shown_target))
@@ -115,6 +118,7 @@ def _steps(
     settings = {
         "method": method,
         "gain": gain,
+        "gain_asked": asked_gain,
         "max_sd": request.max_sd,
         "components": shown_target.rank,
         "neutral": rest.settings,
@@ -188,7 +192,7 @@ def _check_request(request: MimicRequest) -> None:
         raise BadInput(
             f"there is no mimicry by {request.method!r}: choose {BEST}, or one of {', '.join(METHODS)}"
         )
-    if request.gain != "auto" and not np.isfinite(request.gain):
+    if isinstance(request.gain, float | int) and not np.isfinite(request.gain):
         raise BadInput(f"a gain of {request.gain} cannot be used: give a number, 1 for the motion as it is")
     if not (np.isfinite(request.max_sd) and request.max_sd > 0):
         raise BadInput(
@@ -288,7 +292,7 @@ def _settings_shown(
     what = "a clip" if driver.is_pictures else "the source's training frames, from their loadings"
     return {
         "method": told["method"] + (" (auto)" if request.method == BEST else ""),
-        "gain": f"{told['gain']:g}" + (" (auto)" if request.gain == "auto" else ""),
+        "gain": f"{told['gain']:g}" + (" (auto)" if told["gain_asked"] == "auto" else ""),
         "bound of each loading": f"{request.max_sd:g} SD",
         "components": f"{told['components']} of {target.model.rank}",
         "source": f"{source.model.identity}, model {source.model.model_id}, {sizes[0]}, {source.path.name}",

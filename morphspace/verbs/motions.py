@@ -5,14 +5,14 @@ What was done to make them comparable is said in notes, which the page and the c
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal
 
 import numpy as np
 
-from morphspace.arrays import AnyArray, Image, LoadingTable, Mask
+from morphspace.arrays import AnyArray, Image, LoadingTable, LoadingVector, Mask
 from morphspace.errors import BadInput, ReferenceMismatch
 from morphspace.faces import mouth_region, rigid_region
 from morphspace.files.framed import FramedClip
@@ -21,13 +21,17 @@ from morphspace.files.tables import read_loadings_table
 from morphspace.imitation import MaskedBasis, masked_basis
 from morphspace.imitation.shape import LEAST_FRAMES, resampled
 from morphspace.model import MorphModel, inner_product
-from morphspace.morph import vector_of
+from morphspace.morph import Morph, vector_of
 from morphspace.progress import Step, Steps, in_order
 from morphspace.storage import digest_of_file
 from morphspace.verbs.encoding import encoded_frames, framed_for
+from morphspace.verbs.imitators import Imitator
 from morphspace.verbs.render import check_reach
 
 Region = Literal["whole", "eyes", "mouth"]
+# Energy that frames leave outside a model's space, over the variance of its training faces: .2 of frames of the same
+# recording that were held out, 2.6 to 26 of other people and of the same person on another day.
+STRANGE = 1.0
 EYES_DOWN_TO = (0.53, 0.45)  # share of the frame's height; of eye-to-philtrum, where there is a faceframe
 
 
@@ -35,7 +39,9 @@ EYES_DOWN_TO = (0.53, 0.45)  # share of the frame's height; of eye-to-philtrum, 
 class Motion:
     """A motion in the space of a model: `loadings_sd` (n, k), `rate_hz` or None, and the clip it came from, if any.
 
-    `components` says how many columns are known (the rest are 0); `places` (n,) which frame of the clip each row shows.
+    `components` says how many columns are known (the rest are 0); `places` (n,) which frame of the clip each row shows;
+    `imitator` whose model the clip is read in or the table belongs to, where it is not the stimulus'; `outside` how
+    much of the frames the model cannot show (see STRANGE), where that was measured.
     """
 
     name: str
@@ -46,22 +52,34 @@ class Motion:
     components: int
     places: AnyArray
     inputs: dict[str, str]
+    imitator: Imitator | None = None
+    outside: float | None = None
+
+    @property
+    def is_strange(self) -> bool:
+        """Whether the frames are evidently not of the model's person, camera and light."""
+        return self.outside is not None and self.outside > STRANGE
 
 
-def part_of(model: MorphModel, mask: Path | None, region: Region) -> MaskedBasis | None:
-    """Give the basis seen through the mask or region; None where all of the face is measured."""
-    if mask is not None:
-        share = read_mask(mask)
-        if share.shape != model.mask.shape:
-            raise BadInput(
-                f"the mask {mask} is {share.shape[1]}x{share.shape[0]}, the model's frames are "
-                f"{model.size[0]}x{model.size[1]}: draw it on the mean face at that size"
-            )
-    elif region == "whole":
-        return None
-    else:
-        share = region_mask(model, region)
-    return masked_basis(model.basis, inner_product(share, 1.0))
+def share_of(model: MorphModel, mask: Path | None, region: Region) -> Mask | None:
+    """Give how much each point of the mean face counts, (h, w) in [0, 1], by the mask's file or the region.
+
+    None where all of the face is measured. Raises `BadInput` for a mask of another size.
+    """
+    if mask is None:
+        return None if region == "whole" else region_mask(model, region)
+    share = read_mask(mask)
+    if share.shape != model.mask.shape:
+        raise BadInput(
+            f"the mask {mask} is {share.shape[1]}x{share.shape[0]}, the model's frames are "
+            f"{model.size[0]}x{model.size[1]}: draw it on the mean face at that size"
+        )
+    return share
+
+
+def part_of(model: MorphModel, share: Mask | None) -> MaskedBasis | None:
+    """Give the basis seen through a part of the face; None where all of it is measured."""
+    return None if share is None else masked_basis(model.basis, inner_product(share, 1.0))
 
 
 def region_mask(model: MorphModel, region: Region) -> Mask:
@@ -87,39 +105,45 @@ def region_mask(model: MorphModel, region: Region) -> Mask:
     return eyes_only
 
 
-def opened(role: str, given: str, model: MorphModel, notes: list[str]) -> Motion:
-    """Open a clip or read a table (.csv); a clip's loadings are still to be found by `measured`. Raises `BadInput`."""
+def opened(
+    role: str, given: str, model: MorphModel, notes: list[str], imitator: Imitator | None = None
+) -> Motion:
+    """Open a clip or read a table (.csv); a clip's loadings are still to be found by `measured`.
+
+    Where there is an `imitator`, both are of its model. Raises `BadInput`.
+    """
+    read_in = imitator.model if imitator else model
     if Path(given).suffix.lower() == ".csv":
-        source = _table(Path(given), model, notes)
+        source = _table(Path(given), read_in, model, notes)
     else:
-        clip = framed_for(model, (given,), None)
+        clip = framed_for(read_in, (given,), None)
         inputs = dict(zip(clip.names, clip.file_digests, strict=True))
         rate_hz = clip.clip.sidecar.frame_rate_hz
-        unknown = np.zeros((len(clip.names), model.rank))
+        unknown = np.zeros((len(clip.names), read_in.rank))
         places = np.arange(len(clip.names))
-        source = Motion(clip.clip.name, clip.names, unknown, rate_hz, clip, model.rank, places, inputs)
+        source = Motion(clip.clip.name, clip.names, unknown, rate_hz, clip, read_in.rank, places, inputs)
     if len(source.frame_names) < LEAST_FRAMES:
         raise BadInput(
             f"the {role} {given} has {len(source.frame_names)} frame(s), at least {LEAST_FRAMES} are needed to compare "
             "motions: give more frames"
         )
-    return source
+    # Whatever an imitator's table knows, all of the stimulus' components answer to it.
+    return replace(source, components=model.rank, imitator=imitator) if imitator else source
 
 
-def _table(path: Path, model: MorphModel, notes: list[str]) -> Motion:
+def _table(path: Path, model: MorphModel, stimulus: MorphModel, notes: list[str]) -> Motion:
+    """Read a table of `model`, which is the stimulus' or the imitator's."""
     table = read_loadings_table(path)
     columns = table.loadings_sd.shape[1]
+    document = table.document or {}
+    named = document.get("model_id")
+    if table.document is None:
+        notes.append(f"{path} has no sidecar: whether it belongs to {model.identity} cannot be checked")
+    elif named != model.model_id:
+        raise ReferenceMismatch(_other_table(path, named, model, stimulus))
     if columns > model.rank:
         raise BadInput(
             f"{path} has {columns} components, {model.identity} has {model.rank}: encode with this model"
-        )
-    document = table.document or {}
-    if table.document is None:
-        notes.append(f"{path} has no sidecar: whether it belongs to this model cannot be checked")
-    elif document.get("model_id") != model.model_id:
-        raise ReferenceMismatch(
-            f"{path} belongs to model {document.get('model_id')}, --model is {model.model_id} ({model.identity}): "
-            "give its clip instead, encode it with this model, or measure in the other model's space"
         )
     rate = document.get("frame_rate_hz")
     rate_hz = float(rate) if isinstance(rate, int | float) and rate > 0 else None
@@ -131,38 +155,83 @@ def _table(path: Path, model: MorphModel, notes: list[str]) -> Motion:
     return Motion(path.stem, table.frame_names, loadings, rate_hz, None, columns, places, inputs)
 
 
+def _other_table(path: Path, named: object, model: MorphModel, stimulus: MorphModel) -> str:
+    if model is stimulus:
+        return (
+            f"{path} belongs to model {named}, --model is {model.model_id} ({model.identity}): give its clip instead, "
+            "encode it with this model, measure in the other model's space, or, where it is the imitation, give its "
+            "model with --imitator"
+        )
+    if named == stimulus.model_id:
+        return f"{path} is in the space of the stimulus already, the model of {stimulus.identity}: leave out --imitator"
+    return f"{path} belongs to model {named}, --imitator is {model.model_id} ({model.identity}): give its own model"
+
+
 def measured(source: Motion, model: MorphModel, part: MaskedBasis | None) -> Steps[Motion]:
     """Give the sequence with its loadings, of the whole face or of the part.
 
     A part is projected and not fitted to the picture besides: on few pixels of another face, a fit follows the skin.
+    What an imitator's model has read is carried over from its loadings there.
     """
+    if source.imitator is not None:
+        return (yield from _carried(source, source.imitator, model))
     if source.clip is None:
         if part is None:
             return source
         return replace(source, loadings_sd=part.seen(source.loadings_sd * model.sd) / model.sd)
     rows: list[AnyArray] = []
-    names = source.frame_names
+    outside: list[float] = []
+    total = float(model.basis.variances.sum() + model.basis.discarded_variance)
+    for loadings, left in _read(source.clip, model, part):
+        rows.append(loadings)
+        outside.append(left / total)
+        yield Step(f"encode {source.name}", len(rows), len(source.frame_names))
+    return replace(source, loadings_sd=np.stack(rows) / model.sd, outside=float(np.median(outside)))
+
+
+def _read(
+    clip: FramedClip, model: MorphModel, part: MaskedBasis | None
+) -> Iterator[tuple[LoadingVector, float]]:
+    """Give for each frame its loadings (k,), and the energy of what the model cannot show of it."""
     if part is None:
-        for encoded in encoded_frames(model, source.clip):
-            rows.append(encoded.loadings.values[0])
-            yield Step(f"encode {source.name}", len(rows), len(names))
-    else:
-        for loadings in _projected(source.clip, model, part):
-            rows.append(loadings)
-            yield Step(f"encode {source.name}", len(rows), len(names))
-    return replace(source, loadings_sd=np.stack(rows) / model.sd)
-
-
-def _projected(clip: FramedClip, model: MorphModel, part: MaskedBasis) -> Iterator[AnyArray]:
+        for encoded in encoded_frames(model, clip):
+            offset = _offset(encoded.morph, model)
+            yield encoded.loadings.values[0], _left_over(offset, model)
+        return
     flow = model.flow_from_reference  # prepared once, and not by each thread
 
-    def project(item: tuple[str, Image]) -> AnyArray:
+    def project(item: tuple[str, Image]) -> tuple[LoadingVector, float]:
         name, image = item
-        offset = model.morph_of(model.align(image, name).image, flow) - model.mean
-        return part.project(vector_of(offset.texture, offset.displacement))
+        offset = _offset(model.morph_of(model.align(image, name).image, flow), model)
+        return part.project(offset), _left_over(offset, model)
 
     indices = list(range(len(clip.names)))
     yield from in_order(project, zip(clip.names, clip.images(indices), strict=True))
+
+
+def _offset(morph: Morph, model: MorphModel) -> AnyArray:
+    offset = morph - model.mean
+    return vector_of(offset.texture, offset.displacement)
+
+
+def _left_over(offset: AnyArray, model: MorphModel) -> float:
+    """Give the energy of an offset (d,) outside the model's space (Moghaddam and Pentland 1997)."""
+    basis = model.basis
+    left = offset - basis.expand(basis.project(offset))
+    return float((basis.weight * left * left).sum(dtype=np.float64))
+
+
+def _carried(source: Motion, imitator: Imitator, model: MorphModel) -> Steps[Motion]:
+    """Read the frames in the imitator's model where they are pictures, and carry each row to the stimulus' space."""
+    own = imitator.model
+    known: Iterable[AnyArray] = source.loadings_sd * own.sd
+    if source.clip is not None:
+        known = (encoded.loadings.values[0] for encoded in encoded_frames(own, source.clip))
+    rows = []
+    for loadings in known:
+        rows.append(imitator.carry(loadings))
+        yield Step(f"encode {source.name}", len(rows), len(source.frame_names))
+    return replace(source, loadings_sd=np.stack(rows) / model.sd)
 
 
 def at_rate_of(stimulus: Motion, imitation: Motion, notes: list[str]) -> Motion:

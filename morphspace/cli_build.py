@@ -1,0 +1,105 @@
+"""The words of `morphspace build-model` on the command line; nothing heavy is imported, so that help is instant."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import click
+
+from morphspace.cli_words import CROP, SIZE, WeightOrAuto
+from morphspace.flow.names import DEFAULT, NAMES
+
+
+class CropOrAuto(click.ParamType):  # type: ignore[type-arg]
+    """A box of whole numbers, or the word auto."""
+
+    name = "auto|X,Y,W,H"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        if value == "auto" or isinstance(value, tuple):
+            return value
+        if not value[:1].isdigit():
+            self.fail(f"{value!r} is neither auto nor a box: write 4 whole numbers, such as {CROP.example}")
+        return CROP.convert(value, param, ctx)
+
+
+OPTIONS = (
+    click.argument("clip", nargs=-1, required=True),
+    click.option(
+        "-o", "--output", type=click.Path(path_type=Path), help="The .morph file [default: the clip's name]."
+    ),
+    click.option(
+        "-k",
+        "--components",
+        type=click.IntRange(1, 10_000),
+        default=50,
+        show_default=True,
+        help="The most components to keep.",
+    ),
+    click.option("--size", type=SIZE, help="Model frame size; scales to cover and crops to the middle."),
+    click.option(
+        "--crop",
+        type=CropOrAuto(),
+        help="Cut this box out of every frame first, px; auto finds one around the head (`morphspace models fetch`).",
+    ),
+    click.option(
+        "--landmarks",
+        type=click.Choice(["auto", "none"]),
+        default="auto",
+        show_default=True,
+        help="Whether the face is found in every frame, for registration, mask, reference and keypoints; auto does "
+        "where `morphspace models fetch` has been run.",
+    ),
+    click.option(
+        "--mask",
+        type=click.Path(path_type=Path),
+        help="Grey picture on the reference, white where the face is.",
+    ),
+    click.option("--reference", metavar="FILE", help="The reference frame [default: chosen, and said why]."),
+    click.option(
+        "--register",
+        "registration",
+        type=click.Choice(["none", "similarity", "affine"]),
+        default="similarity",
+        show_default=True,
+        help="How head movement is taken out.",
+    ),
+    click.option(
+        "--flow",
+        type=click.Choice(NAMES),
+        default=DEFAULT,
+        show_default=True,
+        help="The flow estimator, as in `morphspace flow`.",
+    ),
+    click.option(
+        "--start",
+        type=click.Choice(["auto", "none"]),
+        default="auto",
+        show_default=True,
+        help="Whether hard frames are tried again from a neighbour's flow.",
+    ),
+    click.option(
+        "--warp-weight",
+        type=WeightOrAuto(),
+        default="auto",
+        show_default=True,
+        help="Colour per px of warp in the inner product; auto cross-validates.",
+    ),
+    click.option(
+        "--work-dir", "work_folder", type=click.Path(path_type=Path), help="Keep finished frames here."
+    ),
+    click.option("--identity", help="Who it is [default: from clip.json, else the clip's name]."),
+    click.option(
+        "--report", type=click.Path(path_type=Path), help="The HTML report [default: beside the model]."
+    ),
+)
+"""In the order of the help."""
+
+
+def build_model_options(command: Callable[..., Any]) -> Callable[..., Any]:
+    """Give the command the words of `morphspace build-model`; their names are those of `BuildModelRequest`."""
+    for option in reversed(OPTIONS):
+        command = option(command)
+    return command
