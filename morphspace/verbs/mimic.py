@@ -56,10 +56,11 @@ MAX_SD = 3.0
 class MimicRequest:
     """Let `source` drive `target`, each a model or a clip to build one of, and write into the folder `output`.
 
-    `frames` is the clip that drives, None for the source's own training frames; `method` is one of `METHODS`, or "auto": `guided` where both
-    models know their landmarks, else `transfer`; `gain` multiplies the loadings, "auto" so that the target moves as far as the source (`mimic.auto_gain`); `max_sd` bounds
-    each of them; `components` uses the target's first so many, None for all; `neutral` says what counts as rest
-    (`mimic_neutral.rest_of`).
+    `frames` is the clip that drives, None for the source's own training frames; `method` is one of `METHODS`, or
+    "auto": `guided` where both models know their landmarks, else `transfer`; `gain` multiplies the loadings, "auto" so
+    that the target moves as far as the source (`mimic.auto_gain`), None for auto with `guided` and `transfer` and 1
+    with the others; `max_sd` bounds each of them; `components` uses the target's first so many, None for all; `neutral`
+    says what counts as rest (`mimic_neutral.rest_of`).
     """
 
     source: str
