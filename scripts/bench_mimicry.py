@@ -58,7 +58,7 @@ def mimicry(data: Path, work: Path, judge: str) -> None:
     print(
         f"Six pairs of models at {SIZE[0]} x {SIZE[1]}, k = {COMPONENTS}, keypoints by `keypoints --auto`; {FRAMES} "
         "training faces of the source drive, gain 1 and a bound of 3 SD unless it says otherwise; `guided, auto` is "
-        "what `morphspace mimic` does by default. For each measure of the judge (68 landmarks of dlib, in eye distances): "
+        "what `morphspace mimic` does by default. For each measure of the judge (68 landmarks, in eye distances): "
         "r / slope of the mimicry on the source; then their means, the distance of the identity embedding to the "
         "target and to the source (one person: below .6), and folded cells. Goals: mean r >= "
         f"{GOAL_R}, no pair below {LEAST_R}, slope {GOAL_SLOPES[0]} to {GOAL_SLOPES[1]}, identity <= {GOAL_IDENTITY}, "
