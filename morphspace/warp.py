@@ -23,7 +23,7 @@ from morphspace.errors import BadInput
 
 SPLINE_POLE = np.sqrt(3.0) - 2.0  # of the cubic B-spline's inverse filter
 SPLINE_TAPS = 15  # a side; the pole to this power is 3e-9, below float32
-STRIP_PX = 2**13  # read at a time: some twenty planes of a strip fit in the cache
+STRIP_PX = 2**14  # read at a time: some twenty planes of a strip fit in the cache
 EDGE_TOLERANCE = 1e-4  # cells; a pixel on a shared edge belongs to both triangles, so that no crack opens
 MARGIN_PX = (
     2.0  # beyond the largest displacement: the ring of cells that continues the field outside the grid

@@ -101,6 +101,10 @@ class Backend(Protocol):
         """Give the median of a plane (h, w); of an even count the last is left out, so that there is a middle one."""
         ...
 
+    def picked(self, planes: Planes, places: Sequence[int]) -> Planes:
+        """Give a copy of the planes at these places of (n, ...)."""
+        ...
+
     def dot(self, a: Planes, b: Planes) -> Planes:
         """Sum a * b over the planes, (n, c, h, w) each, to (n, h, w)."""
         ...
@@ -188,6 +192,10 @@ class OpenCVBackend:
         values = plane.ravel()
         half = (len(values) - 1) // 2
         return np.partition(values[: 2 * half + 1], half)[half]
+
+    def picked(self, planes: AnyArray, places: Sequence[int]) -> AnyArray:
+        out: AnyArray = planes.take(places, axis=0)
+        return out
 
     def dot(self, a: AnyArray, b: AnyArray) -> AnyArray:
         out: AnyArray = np.einsum("ncij,ncij->nij", a, b)

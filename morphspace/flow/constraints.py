@@ -10,9 +10,11 @@ needs to know of the pictures.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 from math import ceil
 from typing import Any
+
+import numpy as np
 
 from morphspace.arrays import AnyArray
 from morphspace.flow.backends import Backend, Planes
@@ -53,6 +55,18 @@ class Channels:
             kernel / 2 for kernel in self.kernels
         ]  # one object each, by which a backend sees what is shared
         return tuple((halves[i], self.kernels[j]) for i, j in up_to(len(self.weights)))
+
+    @cached_property
+    def right(self) -> tuple[int, ...]:
+        """For each channel, where its slope to the right is among the derivatives from order 1 on."""
+        places = up_to(len(self.weights))[1:]
+        return tuple(places.index((i + 1, j)) for i, j in up_to(len(self.weights) - 1))
+
+    @cached_property
+    def down(self) -> tuple[int, ...]:
+        """For each channel, where its slope down is among the derivatives from order 1 on."""
+        places = up_to(len(self.weights))[1:]
+        return tuple(places.index((i, j + 1)) for i, j in up_to(len(self.weights) - 1))
 
     @cached_property
     def noise_floors(self) -> tuple[tuple[float, ...], ...]:
@@ -150,27 +164,35 @@ def _add_constraints(
 ) -> None:
     """Add the constraints of some rows to the six sums `total` (6, h, w), those of T still for half the change."""
     mean = reference[1:] + frame[1:]
-    square = backend.dot(mean, mean)
     colours = mean.shape[1]
-    for order, weight in enumerate(channels.weights):
-        if weight == 0:
-            continue
-        own, first = of_order(order), of_order(order + 1).start - 1
-        right, down = slice(first, first + order + 1), slice(first + 1, first + order + 2)
-        x, y = mean[right], mean[down]
-        half_change = frame[own] - reference[own] if order > 0 or raw_change is None else raw_change[None]
-        per_px = square[right] + square[down]
-        for plane, floor in zip(per_px, channels.noise_floors[order], strict=True):
-            plane += colours * floor
-        per_px = weight / per_px
-        if order == 0:
-            per_px *= agreement
-        total[0] += backend.dot(per_px[None], square[None, right])[0]
-        total[1] += backend.dot(per_px[None], square[None, down])[0]
-        total[2] += backend.weighted_dot(per_px, x, y)
-        total[3] += backend.weighted_dot(per_px, x, half_change)
-        total[4] += backend.weighted_dot(per_px, y, half_change)
-        total[5] += backend.weighted_dot(per_px, half_change, half_change)
+    square = backend.dot(mean, mean)
+    used = slice(0 if raw_change is not None else 1, len(channels.right))
+    half_change = frame[used] - reference[used]
+    if raw_change is not None:
+        half_change[0] = raw_change
+    weights, floors = _weights_and_floors(backend, channels)  # type: ignore[arg-type]  # by its identity
+    across, down = (backend.picked(square, places[used]) for places in (channels.right, channels.down))
+    per_px = across + down
+    per_px += colours * floors[used]
+    per_px = weights[used] / per_px
+    if raw_change is not None:
+        per_px[0] *= agreement
+    x, y = (backend.picked(mean, places[used]) for places in (channels.right, channels.down))
+    total[0] += backend.dot(per_px[None], across[None])[0]
+    total[1] += backend.dot(per_px[None], down[None])[0]
+    total[2] += backend.weighted_dot(per_px, x, y)
+    total[3] += backend.weighted_dot(per_px, x, half_change)
+    total[4] += backend.weighted_dot(per_px, y, half_change)
+    total[5] += backend.weighted_dot(per_px, half_change, half_change)
+
+
+@lru_cache(maxsize=32)
+def _weights_and_floors(backend: Backend, channels: Channels) -> tuple[Planes, Planes]:
+    """Give the weight and the noise floor of each channel, (n, 1, 1) each; once, since a GPU waits for them."""
+    weights = [weight for order, weight in enumerate(channels.weights) for _ in range(order + 1)]
+    floors = [floor for order in channels.noise_floors for floor in order]
+    as_planes = (backend.planes(np.array(values)[:, None, None]) for values in (weights, floors))
+    return next(as_planes), next(as_planes)
 
 
 def _light_apart(backend: Backend, change: Planes, light_codes: float) -> tuple[Planes, Planes]:

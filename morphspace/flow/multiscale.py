@@ -86,26 +86,27 @@ def matcher(reference: Image, preset: Preset, backend: Backend) -> FlowFunction:
     """Prepare a reference (h, w, 3), and give the function that finds frames from it."""
     reference = checked_picture(reference, "the reference")
     height, width = reference.shape[:2]
-    planes, centre = _centred(_colour_planes(reference, preset, backend), backend)
+    planes = _colour_planes(reference, preset, backend)
     empty = _is_flat(planes)
+    scales, centre = _pyramid(planes, preset, backend)
     levels = [
         _reference_level(scaled, preset, backend, _smoother(scaled + centre, preset, backend))
-        for scaled in _pyramid(planes, preset, backend)
+        for scaled in scales
     ]
 
     def to_frame(frame: Image, start: Displacement | None = None) -> Flow:
         frame = checked_frame(reference, frame)
-        planes, _ = _centred(_colour_planes(frame, preset, backend), backend)
+        planes = _colour_planes(frame, preset, backend)
         if empty or _is_flat(planes):
             return unknown_flow(height, width)
-        target = _pyramid(planes, preset, backend)
+        target, _ = _pyramid(planes, preset, backend)
         given = (
             None if start is None else backend.planes(checked_start(start, height, width).transpose(2, 0, 1))
         )
         field, confidence = _matched(levels, target, preset, backend, given)
         field = _resized_field(field, height, width, backend)
         confidence = backend.resized(confidence[None], height, width)
-        displacement = unfolded(np.ascontiguousarray(backend.numpy(field).transpose(1, 2, 0)))
+        displacement = unfolded(cv2.merge(tuple(backend.numpy(field))))
         return Flow(displacement, np.clip(backend.numpy(confidence)[0], 0, 1))
 
     return to_frame
@@ -125,33 +126,29 @@ def _colour_planes(image: Image, preset: Preset, backend: Backend) -> Planes:
     return backend.planes(mixed[None] if mixed.ndim == 2 else mixed.transpose(2, 0, 1))
 
 
-def _centred(planes: Planes, backend: Backend) -> tuple[Planes, Planes]:
-    """Take its median (of every fourth pixel each way) out of each plane; give it too, (c, 1, 1).
-
-    No channel needs it, and derivatives of smaller numbers are rounded less.
-    """
-    centre = backend.xp.stack([backend.middle(plane[::4, ::4]) for plane in planes])[:, None, None]
-    return planes - centre, centre
-
-
 def _is_flat(planes: Planes) -> bool:
     """Tell whether no plane varies by half a code: nothing can be found in such a picture."""
     return all(float(plane.max() - plane.min()) < LEAST_CONTRAST_CODES for plane in planes)
 
 
-def _pyramid(planes: Planes, preset: Preset, backend: Backend) -> list[Planes]:
-    """Give the picture at every scale, finest first."""
+def _pyramid(planes: Planes, preset: Preset, backend: Backend) -> tuple[list[Planes], Planes]:
+    """Give the picture at every scale, finest first, less a middle value of each plane; and that, (c, 1, 1).
+
+    No channel needs it, and derivatives of smaller numbers are rounded less. It is the median of every fourth pixel
+    each way.
+    """
     height, width = planes.shape[1:]
     share = min(1.0, max(preset.finest, FINEST_PX / min(height, width)))
     if share < 1:
         planes = _shrunk(planes, share, round(height * share), round(width * share), backend)
-    scales = [planes]
+    centre = backend.xp.stack([backend.middle(plane[::4, ::4]) for plane in planes])[:, None, None]
+    scales = [planes - centre]
     while min(height, width) * share * preset.factor >= LEAST_SIDE_PX:
         share *= preset.factor
         scales.append(
             _shrunk(scales[-1], preset.factor, round(height * share), round(width * share), backend)
         )
-    return scales
+    return scales, centre
 
 
 def _shrunk(planes: Planes, factor: float, height: int, width: int, backend: Backend) -> Planes:
@@ -245,9 +242,7 @@ def _descend(
     for number in reversed(range(last, above)):
         level = levels[number]
         height, width = level.planes.shape[1:]
-        if field is None:
-            field = backend.xp.zeros_like(backend.xp.stack([level.x, level.y]))
-        else:
+        if field is not None:
             field = _resized_field(field, height, width, backend)
         rival = None if start is None else _resized_field(start, height, width, backend)
         coarsest = number == len(levels) - 1
@@ -273,16 +268,20 @@ def _resized_field(field: Planes, height: int, width: int, backend: Backend) -> 
 def _refined(
     level: ReferenceLevel,
     target: Planes,
-    field: Planes,
+    field: Planes | None,
     start: Planes | None,
     warps: int,
     rounds: int,
     preset: Preset,
     backend: Backend,
 ) -> tuple[Planes, Callable[[], Planes]]:
+    """Refine a field, None for zero, at one scale; give it and the function of its likeness."""
     xp = backend.xp
     read = backend.sampler(target)
-    dual = xp.zeros_like(field)
+    dual = xp.zeros_like(xp.stack([level.x, level.y]))
+    at_rest = field is None  # the frame is then where it is
+    if field is None:
+        field = dual
     height, width = target.shape[1:]
     channels = preset.coarse_channels if max(height, width) <= COARSE_PX else preset.channels
     rivalled = start is not None or max(height, width) <= preset.rivals_px
@@ -292,12 +291,14 @@ def _refined(
         if number == min(1, warps - 1) and rivalled:
             slopes = half_derivatives(backend, target, preset.slope_channels)[of_order(1)]
             field = _with_rivals(level, slopes, field, start, preset, backend)
+            at_rest = False
         x, y = level.x + field[0], level.y + field[1]
-        warped = half_derivatives(backend, read(x, y), preset.channels)
+        warped = half_derivatives(backend, target if at_rest else read(x, y), preset.channels)
         constraint = tensor(backend, level.derivatives, warped, channels, tuple(target.shape))
         seen = xp.where(outside(x, y, height, width), 0.0, xp.ones_like(x))
         moved, dual = _step(level, constraint, seen, field, dual, rounds, preset, backend)
         change, field = moved - field, backend.median(moved)
+        at_rest = False
     return field, partial(_likeness, constraint, change, seen, channels, backend)
 
 

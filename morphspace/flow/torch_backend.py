@@ -146,6 +146,9 @@ class TorchBackend:
         values = plane.reshape(-1)
         return torch.median(values[: 2 * ((len(values) - 1) // 2) + 1])
 
+    def picked(self, planes: Planes, places: Sequence[int]) -> Planes:
+        return torch.stack([planes[place] for place in places])
+
     def dot(self, a: Planes, b: Planes) -> Planes:
         return (a * b).sum(1)
 
