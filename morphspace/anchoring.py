@@ -101,8 +101,13 @@ def anchor_on(reference: Image, finder: FaceFinder) -> FaceAnchor | None:
 
 
 def anchor_of_build(reference: Image, provenance: Mapping[str, Any]) -> FaceAnchor | None:
-    """Give the anchor that a model's build had; None where it had none, or the detector's files are not there now."""
-    if not was_anchored(provenance) or not models_present():
+    """Give the face that a model's build had found in its reference, and the detector; None where there is neither now.
+
+    It starts the registration of every frame, and holds the flow where `was_anchored`.
+    """
+    told = provenance.get("landmarks")
+    known = isinstance(told, Mapping) and bool(told.get("reference_has_face"))
+    if not known or not models_present():
         return None
     return anchor_on(np.array(reference), own_finder())
 
@@ -110,7 +115,7 @@ def anchor_of_build(reference: Image, provenance: Mapping[str, Any]) -> FaceAnch
 def was_anchored(provenance: Mapping[str, Any]) -> bool:
     """Tell whether a model's build held its frames to the points of the face."""
     told = provenance.get("landmarks")
-    return isinstance(told, Mapping) and bool(told.get("reference_has_face"))
+    return isinstance(told, Mapping) and bool(told.get("anchored"))
 
 
 def spline_from(places: Points, height: int, width: int) -> Callable[[Points], Displacement]:

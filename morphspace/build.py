@@ -56,7 +56,8 @@ class BuildSettings:
     `start` "auto" tries hard frames again from a neighbour's field (`flow.starts`): meant for frames in the order of
     time, harmless for others. `mask` (h, w) is drawn on the reference, None for an ellipse over the face. `faceframe`
     is marked on the frame `faceframe_index`; unmoved, it also places the rigid part and the mask, so the two frames
-    should hold the head alike. `finder` finds the face in each frame; what follows from it is in `build_steps`.
+    should hold the head alike. `finder` finds the face in each frame; what follows from it is in
+    `build_steps`, and with `anchored` the flow is held to its points.
     """
 
     components: int = COMPONENTS
@@ -69,6 +70,7 @@ class BuildSettings:
     faceframe: FaceFrame | None = None
     faceframe_index: int | None = None
     finder: FaceFinder | None = None
+    anchored: bool = False
 
 
 @dataclass(frozen=True, eq=False)
@@ -110,8 +112,9 @@ def build_steps(
     fewer than three frames, frames of different sizes, or a mask that does not fit.
 
     With a finder, the points of the face give what was not given: rigid part and mask, a start for each frame's
-    registration, an anchor for its flow (`anchoring`), the choice of the reference among those that serve nearly as
-    well (`facerest`), and the keypoints on the mean face. A frame without a face goes without.
+    registration, and the keypoints on the mean face; with `anchored` also an anchor for each frame's flow
+    (`anchoring`), and the choice of the reference among those that serve nearly as well (`facerest`). A frame without a
+    face goes without.
     """
     count = len(source.names)
     if count < MIN_FRAMES:
@@ -142,7 +145,7 @@ def build_steps(
         registration=settings.registration,
         flow=settings.flow,
         start=settings.start,
-        anchor=None if face is None or settings.finder is None else FaceAnchor(settings.finder, face),
+        anchor=FaceAnchor(settings.finder, face) if settings.finder and face and settings.anchored else None,
     )
     movements = [_movement(face, one) for one in found]
     files = yield from frame_steps(source, plan, work_folder, movements)
@@ -173,7 +176,7 @@ def build_steps(
         "reference": {"frame": choice.name, "reason": choice.reason, "sha256": digest_of_array(reference)},
         "flow_start": settings.start,
         "mask_from": _mask_origin(settings, face),
-        "landmarks": None if settings.finder is None else _landmarks_document(settings.finder, found, choice),
+        "landmarks": None if settings.finder is None else _landmarks_document(settings, found, choice),
         "components_asked": settings.components,
         "warp_weight_trials": [[t.weight, t.psnr_db] for t in trials],
     }
@@ -219,11 +222,12 @@ def _movement(reference: FacePoints | None, frame: FacePoints | None) -> Affine 
 
 
 def _landmarks_document(
-    finder: FaceFinder, found: tuple[FacePoints | None, ...], choice: ReferenceChoice
+    settings: BuildSettings, found: tuple[FacePoints | None, ...], choice: ReferenceChoice
 ) -> dict[str, Any]:
     """Say for the provenance which detector looked, in how many frames it found a face, and if in the reference."""
     return {
-        "detector": dict(finder.identity),
+        "detector": dict(settings.finder.identity) if settings.finder else {},
+        "anchored": settings.anchored and found[choice.index] is not None,
         "frames": len(found),
         "frames_with_face": sum(one is not None for one in found),
         "reference_has_face": found[choice.index] is not None,
@@ -250,14 +254,15 @@ def _choose_reference(
         contrasts.append(mouth_contrast(image, faces.mouth_region(height, width, settings.faceframe)))
         little, mask = shrunk(image, faces.face_mask(height, width, settings.faceframe))
         small.append(little)
-    far = far_from_rest([found[index] for index in indices])
+    looked_at = [found[index] if settings.anchored else None for index in indices]
+    far = far_from_rest(looked_at)
     known = bool(np.isfinite(far).any())
     place, errors = yield from search(small, np.array(contrasts), mask, far if known else None)
     best, worst = min(errors.values()), max(errors.values())
     reason = (
         f"of {len(errors)} frames tried it is among those that reach the hardest frames best (error "
         f"{errors[place]:.4f}, best {best:.4f}, worst {worst:.4f}, colour 0 to 1), and of these "
-        f"{_nearest(found[indices[place]])}"
+        f"{_nearest(looked_at[place])}"
     )
     return ReferenceChoice(indices[place], source.names[indices[place]], reason)
 

@@ -46,11 +46,11 @@ OPTIONS = (
     ),
     click.option(
         "--landmarks",
-        type=click.Choice(["auto", "none"]),
+        type=click.Choice(["auto", "anchor", "none"]),
         default="auto",
         show_default=True,
-        help="Whether the face is found in every frame, for registration, mask, reference and keypoints; auto does "
-        "where `morphspace models fetch` has been run.",
+        help="Whether the face is found in every frame, for registration, mask and keypoints; auto does where "
+        "`morphspace models fetch` has been run; anchor also holds the flow to the landmarks.",
     ),
     click.option(
         "--mask",
@@ -75,7 +75,7 @@ OPTIONS = (
     ),
     click.option(
         "--start",
-        type=click.Choice(["auto", "none"]),
+        type=click.Choice(["auto", "anchor", "none"]),
         default="auto",
         show_default=True,
         help="Whether hard frames are tried again from a neighbour's flow.",

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from morphspace import fitting, warp
-from morphspace.anchoring import FaceAnchor, anchor_of_build
+from morphspace.anchoring import FaceAnchor, anchor_of_build, was_anchored
 from morphspace.arrays import Affine, AnyArray, Displacement, Image, LoadingTable, LoadingVector, Mask
 from morphspace.basis import Basis
 from morphspace.errors import BadInput, ReferenceMismatch
@@ -117,11 +117,13 @@ class MorphModel:
     def flow_from_reference(self) -> FlowFunction:
         """The flow by the build's method, its reference prepared on first use and kept: the costly half is shared."""
         find = methods.for_morphs(self.flow)(self.reference)
-        return find if self.anchor is None else self.anchor.anchored(find, *self.mask.shape)
+        if self.anchor is None or not was_anchored(self.provenance):
+            return find
+        return self.anchor.anchored(find, *self.mask.shape)
 
     @cached_property
     def anchor(self) -> FaceAnchor | None:
-        """What held the build's frames to the points of the face; None where nothing did or the detector is missing."""
+        """The face in the reference, where the build looked for it and the detector is there; else None."""
         return anchor_of_build(self.reference, self.provenance)
 
     def align(self, image: Image, name: str = "image") -> Frame:

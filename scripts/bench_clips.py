@@ -71,7 +71,9 @@ class Trial:
         return tuple(index for index in range(len(self.frames)) if index not in self.held_out)
 
 
-def trial(data: Path, name: str, work: Path, finder: FaceFinder | None = None) -> Trial:
+def trial(
+    data: Path, name: str, work: Path, finder: FaceFinder | None = None, *, anchored: bool = False
+) -> Trial:
     """Build the model of a clip's training frames; what is costly is taken from the work folder where it is there.
 
     With a `finder` the build and the alignment of held-out frames use the points of the face.
@@ -81,7 +83,7 @@ def trial(data: Path, name: str, work: Path, finder: FaceFinder | None = None) -
     train, test = split(len(source.names))
     kept = FramedClip(source.clip.subset(train), source.framing)
     tell(f"{name}: model of {len(train)} frames")
-    settings = BuildSettings(finder=finder)
+    settings = BuildSettings(finder=finder, anchored=anchored)
     build = result_of(build_steps(kept, settings, work / "builds" / name, {"identity": name}))
     frames = {index: build.frame(place)[0] for place, index in enumerate(train)}
     tell(f"{name}: {len(test)} held-out frames")

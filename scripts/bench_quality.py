@@ -118,8 +118,8 @@ def with_landmarks(data: Path, clips: tuple[str, ...], work: Path) -> None:
     """Print how held-out frames come back from models built without and with the points of the face, side by side."""
     print("### Held-out reconstruction, without and with landmarks\n")
     print(
-        "As above, fitted: PSNR (dB) of pixel PCA and gain over it, by models built with `--landmarks none` and with "
-        "`auto`. Each way has its own mask and its own alignment, so the PSNRs of both are not of the same pixels; the "
+        "As above, fitted: PSNR (dB) of pixel PCA and gain over it, by models built with `--landmarks none`, "
+        "`auto` and `anchor`. Each way has its own mask and its own alignment, so the PSNRs of both are not of the same pixels; the "
         "gains are each over its own peer. Scale: the smallest and largest size registration gave a frame. Left: "
         "median / largest root mean square of what the flow leaves of the training frames, colour in 8-bit codes.\n"
     )
@@ -127,9 +127,9 @@ def with_landmarks(data: Path, clips: tuple[str, ...], work: Path) -> None:
     finder = own_finder()
     for name in clips:
         columns = []
-        for one_finder in (None, finder):
+        for one_finder, anchored in ((None, False), (finder, False), (finder, True)):
             with remembered_flow(work / "flow"):
-                one = trial(data, name, work, one_finder)
+                one = trial(data, name, work, one_finder, anchored=anchored)
                 scores = _held_out_scores(one)
             columns.append((one, scores))
         for k in COMPONENTS:
@@ -145,9 +145,9 @@ def with_landmarks(data: Path, clips: tuple[str, ...], work: Path) -> None:
                 for one, _ in columns:
                     row += [one.build.choice.name, _scales(one), _left_over(one)]
             else:
-                row += [""] * 6
+                row += [""] * 9
             rows.append(row)
-    ways = ("none", "auto")
+    ways = ("none", "auto", "anchor")
     heads = [
         "clip",
         "k",

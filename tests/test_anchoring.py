@@ -136,7 +136,7 @@ def test_a_reference_without_a_face_anchors_nothing(picture):
     assert anchor_on(picture(HEIGHT, WIDTH), FaceFinder(lambda image: None)) is None
 
 
-ANCHORED = {"landmarks": {"reference_has_face": True}}
+ANCHORED = {"landmarks": {"reference_has_face": True, "anchored": True}}
 
 
 def test_a_model_reads_new_frames_as_its_build_did_where_the_networks_are(model, monkeypatch):

@@ -1,4 +1,4 @@
-"""What the pages with a video beside them share: the page itself, notes, the figures at the top, the settings."""
+"""What the pages of mimicry, imitation and blends share: the page itself, notes, the top figures, the settings."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 
 from morphspace.report.markup import Html, element, joined, section, table, text
 
+ALONE = "default-src 'none'; img-src data:; style-src 'unsafe-inline'"
 POLICY = "default-src 'none'; img-src data:; media-src 'self' file:; style-src 'unsafe-inline'"
 
 
@@ -45,10 +46,19 @@ def settings_section(settings: Mapping[str, str]) -> Html:
 
 def page_beside_a_video(title: str, style: str, parts: Sequence[Html]) -> str:
     """Give the whole page as HTML; it may load nothing but media files of its own folder."""
-    footer = element("footer", text("Written by morphspace. The page loads nothing but the video beside it."))
+    return _page(title, style, parts, POLICY, "The page loads nothing but the video beside it.")
+
+
+def page_by_itself(title: str, style: str, parts: Sequence[Html]) -> str:
+    """Give the whole page as HTML; it may load nothing."""
+    return _page(title, style, parts, ALONE, "This page is complete in itself: it loads nothing.")
+
+
+def _page(title: str, style: str, parts: Sequence[Html], policy: str, loads: str) -> str:
+    footer = element("footer", text(f"Written by morphspace. {loads}"))
     head = [
         element("meta", charset="utf-8"),
-        element("meta", http_equiv="Content-Security-Policy", content=POLICY),
+        element("meta", http_equiv="Content-Security-Policy", content=policy),
         element("meta", name="viewport", content="width=device-width, initial-scale=1"),
         element("title", text(title)),
         element("style", Html(style)),

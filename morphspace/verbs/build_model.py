@@ -47,8 +47,9 @@ class BuildModelRequest:
     `sources` a folder, a glob, a video or files; `output` the .morph file, None for one named after the clip;
     `report` the page, None for one beside the model; `components` the most to keep; `size` (w, h) px or None for the
     frames' own (200 x 240 where they are larger than 400 px); `crop` (x, y, w, h) px, or "auto" for one around the
-    head; `landmarks` "auto" finds the face in every frame where the detector's files are, "none" does not; `mask` a
-    grey picture of the reference's size, white where the face is; `reference` a frame's name or file, None to choose;
+    head; `landmarks` "auto" finds the face in every frame where the detector's files are, "anchor" also holds the flow
+    to it, "none" does not; `mask` a grey picture of the reference's size, white where the face is; `reference` a frame's
+    name or file, None to choose;
     `start` "auto" tries hard frames again from a neighbour's flow, "none" does not; `warp_weight` colour per px, None
     to cross-validate; `work_folder` kept when given, else beside the output and removed at the end.
     """
@@ -172,6 +173,7 @@ def build_clip(
         faceframe=faceframe,
         faceframe_index=faceframe_index,
         finder=finder,
+        anchored=request.landmarks == "anchor",
     )
     build = yield from build_steps(
         source, settings, work_folder, _provenance(clip, source, request, mask_digest, found_crop)

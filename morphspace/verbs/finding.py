@@ -12,8 +12,9 @@ from morphspace.headcrop import FoundCrop, head_crop, median_eyes_px
 from morphspace.progress import Step, Steps, in_order
 from morphspace.reference import spread
 
-Landmarks = Literal["auto", "none"]
-"""`auto`: the face is found in every frame where the detector's files are; `none`: it is not looked for."""
+Landmarks = Literal["auto", "anchor", "none"]
+"""`auto`: the face is found in every frame where the detector's files are; `anchor`: it must be, and the flow is held to
+its points; `none`: it is not looked for."""
 CROP_FRAMES = 24  # of a clip, evenly spread, in which the face is looked for to crop it
 WITHOUT = (
     "built without face points: rigid part and mask are where a cropped face usually has them, and the model has no "
@@ -22,14 +23,19 @@ WITHOUT = (
 
 
 def finder_for(landmarks: str) -> tuple[FaceFinder | None, tuple[str, ...]]:
-    """Give the detector if it is wanted and there, and one line on how to get it if it is wanted and not there."""
+    """Give the detector if it is wanted and there, and one line on how to get it if it is wanted and not there.
+
+    Raises `MissingModels` where it is needed and not there.
+    """
     if landmarks not in get_args(Landmarks):
         raise BadInput(
             f"there is no way of using landmarks called {landmarks!r}: choose one of {', '.join(get_args(Landmarks))}"
         )
     if landmarks == "none":
         return None, ()
-    return (own_finder(), ()) if models_present() else (None, (WITHOUT,))
+    if landmarks == "anchor" or models_present():
+        return own_finder(), ()
+    return None, (WITHOUT,)
 
 
 def crop_steps(clip: Clip, finder: FaceFinder, aspect: float) -> Steps[FoundCrop]:
