@@ -7,6 +7,8 @@ torch (`torch_backend`). Planes are (c, h, w) float32 throughout.
 
 from __future__ import annotations
 
+import contextlib
+import ctypes
 import threading
 from collections.abc import Callable, Iterable, Sequence
 from functools import cache
@@ -27,7 +29,8 @@ Planes = Any
 
 MEDIAN_PX = 5  # a side; OpenCV's largest for float32
 EDGE_PX = 1.5  # that a step of `edge_codes` is worth to the recursive smoother
-LARGEST_KEPT_BYTES = 2**25 - 2**13  # just under that limit, its header and rounding to pages included
+KEPT_BYTES, LARGEST_KEPT_BYTES = 2**28, 2**25  # in all, and of one block; the library allows no larger
+M_TRIM_THRESHOLD, M_MMAP_THRESHOLD = -1, -3  # as malloc.h of Linux has them
 STRIP_PX = 2**14  # nine derivatives of three colours are 1.8 MB
 _CREATING = threading.Lock()
 
@@ -208,13 +211,16 @@ class OpenCVBackend:
 
 @cache
 def _keep_freed_memory() -> None:
-    """Let the process keep the memory of planes it frees, up to 64 MB, for the next ones.
+    """Let the process keep up to `KEPT_BYTES` of the memory of planes it frees, for the next ones.
 
-    The C library of Linux asks the system anew for each block above a threshold, and every page of it is cleared. The
-    threshold follows the largest block freed so far, up to 32 MB (mallopt(3), M_MMAP_THRESHOLD): one such block is
-    reserved here, never touched, and freed. Elsewhere this does nothing.
+    Every page that the C library of Linux asks the system for is cleared first, and it gives back large blocks at once
+    (mallopt(3): M_MMAP_THRESHOLD) and what is free beyond a limit (M_TRIM_THRESHOLD); at 512 px a new reference then
+    costs a fifth more. Elsewhere this does nothing.
     """
-    np.empty(LARGEST_KEPT_BYTES, np.uint8)
+    with contextlib.suppress(AttributeError, OSError, TypeError):  # another C library
+        tune = ctypes.CDLL(None).mallopt
+        tune(M_MMAP_THRESHOLD, LARGEST_KEPT_BYTES)
+        tune(M_TRIM_THRESHOLD, KEPT_BYTES)
 
 
 def _guide_picture(guide: AnyArray) -> AnyArray:

@@ -49,7 +49,6 @@ LEAST_BLUR_PX = 0.3  # before scaling down
 COARSE_PX = (
     160  # the longer side of scales at which raw values lead: lips are a few px there, their colour is seen
 )
-RECURSIVE_PX = 130  # the longer side of scales that are smoothed recursively
 START_PX = 140  # the longer side up to which a start is tried; at the coarsest scale it always is
 SURROUNDINGS_PX = 1.5  # sd of the neighbourhood by which a rival is judged
 CLEARLY, CLEARLY_PX = (
@@ -114,7 +113,7 @@ def matcher(reference: Image, preset: Preset, backend: Backend) -> FlowFunction:
 
 def _smoother(guide: Planes, preset: Preset, backend: Backend) -> Callable[[Planes], Planes]:
     """Give the smoother of a scale: at small ones that which has the least to prepare."""
-    small = max(guide.shape[1:]) <= RECURSIVE_PX
+    small = max(guide.shape[1:]) <= preset.recursive_px
     make = backend.recursive_smoother if small else backend.smoother
     return make(guide, preset.strength, preset.edge_codes)
 

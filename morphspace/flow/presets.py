@@ -23,7 +23,8 @@ class Preset:
     coarsest, the one before it for all between. `channels`: the derivatives, and `coarse_light`, the weight of order 0
     at coarse scales. `robust_px`: residuals above it count less and less. `integration_px`: sd over which constraints
     are pooled. `coupling` of the pixelwise solution to the smooth field, `strength` and `edge_codes` of the smoother
-    (`Backend.smoother`), `smoothings` 1 (slope costs) or 2 (bending costs). `rounds` a warp of robust weights, solution
+    (`Backend.smoother`), `smoothings` 1 (slope costs) or 2 (bending costs), and
+    `recursive_px`, the longer side up to which it is `Backend.recursive_smoother`. `rounds` a warp of robust weights, solution
     and smoothing, by scale, finest first, the last number for all coarser ones. `rivals_px`: the longer side up to
     which the motions of pixels near by are tried, `rival_step_px` how far off. `checked_px`: the longer side at which
     the way back is compared (0: not at all).
@@ -41,6 +42,7 @@ class Preset:
     strength: float = 30.0
     edge_codes: float = 10.0
     smoothings: Literal[1, 2] = 2
+    recursive_px: int = 130
     rounds: tuple[int, ...] = (3,)
     rivals_px: int = 140
     rival_step_px: int = 3
@@ -73,6 +75,7 @@ BALANCED = replace(
     coupling=0.2,
     smoothings=1,
     strength=20.0,
+    recursive_px=260,
     rounds=(2,),
     rivals_px=0,
     checked_px=0,
