@@ -19,6 +19,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from morphspace import __version__
+from morphspace.cli_avatar import add_avatar
 from morphspace.cli_build import build_model_options
 from morphspace.cli_flow import flow_options
 from morphspace.cli_keypoints import add_keypoints
@@ -312,9 +313,8 @@ def flow(**options: Any) -> Steps[Outcome]:
     return verb_module.run_words(**options)
 
 
-add_keypoints(main, verb)
-add_mimic(main, verb)
-add_models(main, verb)
+for add in (add_avatar, add_keypoints, add_mimic, add_models):
+    add(main, verb)
 
 
 @main.command("measure-mimicry")

@@ -75,7 +75,7 @@ OPTIONS = (
     ),
     click.option(
         "--start",
-        type=click.Choice(["auto", "anchor", "none"]),
+        type=click.Choice(["auto", "none"]),
         default="auto",
         show_default=True,
         help="Whether hard frames are tried again from a neighbour's flow.",

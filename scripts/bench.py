@@ -64,9 +64,12 @@ DATA_SECTIONS = (
     "detection",
     "mimicry",
     "mimicry-speed",
+    "avatar",
+    "avatar-laws",
+    "avatar-cost",
     *FLOW_SECTIONS,
 )
-OTHER_SECTIONS = ("pca", "render", "open", "warp", "help", "video", "mimicry-drawn")
+OTHER_SECTIONS = ("pca", "render", "open", "warp", "help", "video", "mimicry-drawn", "avatar-drawn")
 BUILD_ROUNDS = 3  # at most; a build takes minutes
 
 
@@ -128,6 +131,22 @@ def run(section: str, arguments: argparse.Namespace, work: Path) -> None:
         bench_mimicry_speed.mimicry_speed(data, work, rounds)
     elif section == "mimicry-drawn":
         bench_mimicry_drawn.mimicry_drawn(work)
+    elif section == "avatar":
+        import bench_avatar
+
+        bench_avatar.avatar(data, work, arguments.face_judge)
+    elif section == "avatar-laws":
+        import bench_avatar
+
+        bench_avatar.avatar_laws(data, work)
+    elif section == "avatar-cost":
+        import bench_avatar
+
+        bench_avatar.avatar_cost(data, work)
+    elif section == "avatar-drawn":
+        import bench_avatar_drawn
+
+        bench_avatar_drawn.avatar_drawn(work)
     elif section == "video":
         bench_video.video_form()
     else:
@@ -148,7 +167,9 @@ def main(words: Sequence[str]) -> int:
     parser.add_argument("sections", nargs="+", choices=(*DATA_SECTIONS, *OTHER_SECTIONS), metavar="SECTION")
     parser.add_argument("--data", type=Path, default=os.environ.get("MORPHSPACE_DATA"))
     parser.add_argument("--judge", help="python that holds the landmark detector")
-    parser.add_argument("--face-judge", help="python that holds the judge of mimicry (scripts/face_judge.py)")
+    parser.add_argument(
+        "--face-judge", help="python that holds the judge of mimicry and avatar (scripts/face_judge.py)"
+    )
     parser.add_argument("--work", type=Path, help="folder for models and flow (default: a temporary one)")
     parser.add_argument("--clips", nargs="+", default=CLIPS, metavar="NAME")
     parser.add_argument("--rounds", type=positive, default=21, help="of each timing (default 21)")
@@ -156,8 +177,8 @@ def main(words: Sequence[str]) -> int:
     arguments = parser.parse_args(words)
     if arguments.data is None and any(section in DATA_SECTIONS for section in arguments.sections):
         parser.error("these sections need the clips: give --data or set MORPHSPACE_DATA")
-    if arguments.face_judge is None and "mimicry" in arguments.sections:
-        parser.error("mimicry needs --face-judge, the python that holds its judge")
+    if arguments.face_judge is None and {"mimicry", "avatar"} & set(arguments.sections):
+        parser.error("mimicry and avatar need --face-judge, the python that holds their judge")
     if arguments.judge is None and {"landmarks", "ceiling", "detection"} & set(arguments.sections):
         parser.error("landmarks need --judge, the python that holds the detector")
     with tempfile.TemporaryDirectory() as temporary:

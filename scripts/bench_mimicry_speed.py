@@ -24,8 +24,8 @@ from morphspace import warp
 from morphspace.mimic import METHODS, mimic
 from morphspace.morph import morph_of, resource
 from morphspace.progress import in_order, result_of
+from morphspace.reach import reach_of
 from morphspace.verbs import mimic as verb
-from morphspace.verbs.mimic_reach import reach_of
 from morphspace.verbs.mimic_sources import UsedModel, clip_driver
 
 SOURCE, TARGET = "lp_d18", "lp_d6"

@@ -30,6 +30,7 @@ from morphspace.mimic import METHODS, Quality, auto_gain, mimic, offset_of
 from morphspace.model import Loadings, MorphModel, inner_product, load_model, model_digest
 from morphspace.morph import Morph, parts_of, vector_of
 from morphspace.progress import WORKERS, result_of
+from morphspace.reach import Reach, reach_of
 from morphspace.recentring import Recentring
 from morphspace.report.mimic_page import HEADINGS, LEFT_OUT
 from morphspace.rows import RowArray
@@ -37,7 +38,6 @@ from morphspace.verbs import mimic as verb
 from morphspace.verbs import mimic_frames, mimic_neutral, mimic_sources
 from morphspace.verbs.mimic import MimicRequest
 from morphspace.verbs.mimic_frames import FinishedFrames, frame_steps
-from morphspace.verbs.mimic_reach import Reach, reach_of
 from morphspace.verbs.mimic_sources import Driver
 from morphspace.verbs.mimic_table import COLUMNS, OUT_OF_RANGE, FaceSeen, FrameMade, made_of
 

@@ -23,8 +23,8 @@ class Preset:
     coarsest, the one before it for all between. `channels`: the derivatives, and `coarse_light`, the weight of order 0
     at coarse scales. `robust_px`: residuals above it count less and less. `integration_px`: sd over which constraints
     are pooled. `coupling` of the pixelwise solution to the smooth field, `strength` and `edge_codes` of the smoother
-    (`Backend.smoother`), `smoothings` 1 (slope costs) or 2 (bending costs), and
-    `recursive_px`, the longer side up to which it is `Backend.recursive_smoother`. `rounds` a warp of robust weights, solution
+    (`Backend.smoother`), `smoothings` 1 (slope costs) or 2 (bending costs), and `recursive_px`, the longer side up to
+    which it is `Backend.recursive_smoother`. `rounds` a warp of robust weights, solution
     and smoothing, by scale, finest first, the last number for all coarser ones. `rivals_px`: the longer side up to
     which the motions of pixels near by are tried, `rival_step_px` how far off. `checked_px`: the longer side at which
     the way back is compared (0: not at all).

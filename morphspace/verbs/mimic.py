@@ -21,6 +21,7 @@ from morphspace.files.tables import write_loadings_table
 from morphspace.mimic import METHODS, WITH_REST, Method, auto_gain, mimic
 from morphspace.model import MorphModel
 from morphspace.progress import Steps
+from morphspace.reach import reach_of
 from morphspace.report.mimic_page import MimicryShown, mimic_page
 from morphspace.storage import write_text
 from morphspace.verbs import mimic_advice
@@ -34,7 +35,6 @@ from morphspace.verbs.mimic_folder import (
 )
 from morphspace.verbs.mimic_frames import FinishedFrames, frame_steps, video_steps
 from morphspace.verbs.mimic_neutral import AUTOMATIC, neutral_names, rest_of
-from morphspace.verbs.mimic_reach import reach_of
 from morphspace.verbs.mimic_sources import (
     Driver,
     UsedModel,

@@ -22,9 +22,9 @@ from morphspace.files.video import write_video
 from morphspace.mimic import Mimic, Quality, offset_of
 from morphspace.model import MorphModel
 from morphspace.progress import Step, Steps, in_order
+from morphspace.reach import Reach, ReachOf
 from morphspace.report.mimic_page import PAIRS_SHOWN
 from morphspace.storage import digest_of_file, digest_of_json, json_text, write_text
-from morphspace.verbs.mimic_reach import Reach, ReachOf
 from morphspace.verbs.mimic_sources import Driver
 from morphspace.verbs.mimic_table import FaceSeen, FrameMade, made_of
 from morphspace.verbs.outcome import versions

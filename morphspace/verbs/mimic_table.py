@@ -12,8 +12,8 @@ from typing import Any
 
 from morphspace.files.tables import write_metrics_table
 from morphspace.mimic import Quality
+from morphspace.reach import Reach
 from morphspace.storage import json_text, write_text
-from morphspace.verbs.mimic_reach import Reach
 from morphspace.verbs.outcome import versions
 
 FORMAT = "morphspace-mimicry"

@@ -1,0 +1,344 @@
+"""From models to an avatar: every expression blended into a picture, and a model of the pictures (Nagle section 4).
+
+A blended picture is a file in the work folder named after all it depends on. It is kept unsharpened: the amount of
+sharpening follows from all of them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+
+from morphspace.arrays import AnyArray, Image, Mask
+from morphspace.avatar.common_face import version_picture
+from morphspace.avatar.mixing import Mixer
+from morphspace.avatar.settings import SOURCE, AvatarSettings, Expression
+from morphspace.avatar.sharpness import Curve, curve, mean_curve, sharpened, sharpness
+from morphspace.avatar.studio import Studio, studio_of
+from morphspace.build import Build, BuildSettings, build_steps
+from morphspace.errors import BadInput, UnreadableFile
+from morphspace.keypoints import affine_between, lip_of, reference_to_mean, required_faceframe
+from morphspace.model import MorphModel
+from morphspace.progress import Step, Steps, in_order
+from morphspace.reference import spread
+from morphspace.storage import digest_of_json, read_container, write_container
+from morphspace.warp import move_points
+from morphspace.workframes import FLOW_VERSION, KEY_DIGITS
+
+BLEND_FORMAT = "morphspace-blend-1"
+BLEND_VERSION = 1  # raise it when blends come out otherwise: kept pictures are then made again
+PIXEL_AVERAGES = 16  # expressions, evenly spread, of which the pixel average is made for comparison
+LEAST_EXPRESSIONS = 3
+
+
+@dataclass(frozen=True, eq=False)
+class BlendedFrames:
+    """The blended pictures as a `FrameSource`: `files` in the work folder, sharpened by `amount` inside `masks`."""
+
+    names: tuple[str, ...]
+    files: tuple[Path, ...]
+    masks: tuple[Mask, ...]
+    amount: float
+
+    @property
+    def digests(self) -> tuple[str, ...]:
+        """A digest of what each picture was made from."""
+        return tuple(digest_of_json([file.stem, self.amount]) for file in self.files)
+
+    def images(self, indices: list[int]) -> Iterator[Image]:
+        """Give the pictures (h, w, 3) at these indices, in [0, 1]."""
+        for index in indices:
+            plain = np.array(read_container(self.files[index])[0]["image"])
+            yield np.clip(sharpened(plain, self.masks[index], self.amount), 0, 1)
+
+
+@dataclass(frozen=True, eq=False)
+class Avatar:
+    """A blended identity.
+
+    `model` | `identities` (k,), each by a name of its own, as they were given, and their `weights` (k,), sum 1 |
+    `expressions`, one a training frame of the model | `reference`, the expression the model was built on |
+    `reference_identity` and `surround`, by place in `identities`; `surround` None for flat grey | `sharpen` the amount
+    used | `sharpness`: "sources" (k,), "blend", "unsharpened", "pixel average" |
+    `notes` | `build`, the ordinary build of the model.
+    """
+
+    model: MorphModel
+    identities: tuple[str, ...]
+    weights: AnyArray
+    expressions: tuple[Expression, ...]
+    reference: int
+    reference_identity: int
+    surround: int | None
+    sharpen: float
+    sharpness: Mapping[str, Any]
+    notes: tuple[str, ...]
+    build: Build = field(repr=False)
+    studio: Studio = field(repr=False)
+    chosen: Sequence[tuple[int, int]] = field(repr=False)
+    frames: BlendedFrames = field(repr=False)
+
+    def versions(self, index: int) -> list[Image]:
+        """Give the k aligned versions (h, w, 3) of expression `index`; the mean face of one that takes no part."""
+        source, frame = self.chosen[index]
+        return self.studio.pictures(source, self.studio.versions(source, frame))
+
+    def blend(self, index: int) -> Image:
+        """Give the blended picture (h, w, 3) of expression `index`, as the model was built from."""
+        return next(self.frames.images([index]))
+
+    def pixel_average(self, index: int) -> Image:
+        """Give Galton's average of expression `index` (h, w, 3): the weighted mean of the versions, pixel by pixel."""
+        return _pixel_average(self.versions(index), self.weights)
+
+
+def blend_steps(models: Sequence[MorphModel], settings: AvatarSettings, work_folder: Path) -> Steps[Avatar]:
+    """Blend models into an avatar; a generator of steps that returns an `Avatar`.
+
+    Raises `BadInput` for fewer than two models, models without keypoints, of different sizes or without components, and
+    settings that do not fit them. The order of the models changes nothing but the order of what is told about them.
+    """
+    studio = studio_of(models, settings)
+    chosen = studio.chosen()
+    if len(chosen) < LEAST_EXPRESSIONS:
+        raise BadInput(
+            f"{len(chosen)} expressions are too few for a model: ask for at least {LEAST_EXPRESSIONS}, or give models "
+            "of more frames"
+        )
+    work_folder.mkdir(parents=True, exist_ok=True)
+    files = yield from _blend_pass(studio, chosen, work_folder)
+    told = [read_container(file)[1] for file in files]
+    expressions = _expressions(studio, chosen, told)
+    measured = _sharpness(studio, chosen, told)
+    amount = settings.sharpen
+    curves = mean_curve([Curve(*one["curve"]) for one in told])
+    if amount is None:
+        amount = curves.amount_for(float(measured["sources"] @ studio.weights))
+    measured["blend"], measured["unsharpened"] = curves.at(amount), curves.plain
+    masks = {source: studio.mixer(source).mask_picture for source in {source for source, _ in chosen}}
+    frames = BlendedFrames(
+        tuple(one.name for one in expressions), tuple(files), tuple(masks[s] for s, _ in chosen), amount
+    )
+    build = yield from _build(studio, chosen, frames, work_folder, amount)
+    surround = None if studio.surround is None else studio.part[studio.surround]
+    return Avatar(
+        model=build.model,
+        identities=studio.labels,
+        weights=studio.weights,
+        expressions=expressions,
+        reference=build.choice.index,
+        reference_identity=studio.part[studio.reference],
+        surround=surround,
+        sharpen=amount,
+        sharpness=measured,
+        notes=(*_notes(studio, expressions), *build.warnings),
+        build=build,
+        studio=studio,
+        chosen=chosen,
+        frames=frames,
+    )
+
+
+def _blend_pass(studio: Studio, chosen: Sequence[tuple[int, int]], work_folder: Path) -> Steps[list[Path]]:
+    """Blend each expression, or find it in the work folder; give each one's file."""
+    common = [BLEND_FORMAT, BLEND_VERSION, FLOW_VERSION, cv2.__version__, studio.identity()]
+    compared = set(spread(len(chosen), PIXEL_AVERAGES))
+    files = [
+        work_folder / f"{digest_of_json([*common, *one, index in compared])[:KEY_DIGITS]}.blend"
+        for index, one in enumerate(chosen)
+    ]
+    missing = [index for index, file in enumerate(files) if not _is_whole(file)]
+    finished = len(files) - len(missing)
+    if finished:
+        yield Step("blend", finished, len(files))
+    for source in sorted({chosen[index][0] for index in missing}):
+        mixer, shows = studio.mixer(source), studio.shows(source)
+        _ = mixer.mean, mixer.near, mixer.mask_picture  # before threads share them
+
+        def make(index: int, source: int = source, mixer: Mixer = mixer, shows: Any = shows) -> None:
+            versions = studio.cast.versions(source, shows, chosen[index][1])
+            image = mixer.mixed(versions)
+            grows = curve(image, mixer.mask_picture)
+            own = sharpness(mixer.picture(source, versions[source]), mixer.mask_picture)
+            document: dict[str, Any] = {
+                "format": BLEND_FORMAT,
+                "used": mixer.used(versions).tolist(),
+                "plausibility": [version.plausibility for version in versions],
+                "curve": [grows.plain, grows.shared, grows.added],
+                "source_sharpness": own,
+            }
+            if index in compared:
+                average = _pixel_average(
+                    [mixer.picture(i, version) for i, version in enumerate(versions)], mixer.weights
+                )
+                document["pixel_average_sharpness"] = sharpness(average, mixer.mask_picture)
+            write_container(files[index], {"image": image}, document)
+
+        for _ in in_order(make, [index for index in missing if chosen[index][0] == source]):
+            finished += 1
+            yield Step("blend", finished, len(files))
+    return files
+
+
+def _pixel_average(pictures: Sequence[Image], weights: AnyArray) -> Image:
+    total = np.zeros_like(pictures[0])
+    for weight, picture in zip(weights, pictures, strict=True):
+        total += np.float32(weight) * picture
+    return total
+
+
+def _is_whole(file: Path) -> bool:
+    try:
+        read_container(file)
+    except UnreadableFile:
+        return False
+    return True
+
+
+def _expressions(
+    studio: Studio, chosen: Sequence[tuple[int, int]], told: Sequence[Mapping[str, Any]]
+) -> tuple[Expression, ...]:
+    made = []
+    for (source, frame), one in zip(chosen, told, strict=True):
+        given = studio.part[source]
+        name = str(studio.models[given].training.frame_names[frame])
+        weights, plausibility = np.zeros(len(studio.models)), np.zeros(len(studio.models))
+        weights[list(studio.part)] = one["used"]
+        plausibility[list(studio.part)] = one["plausibility"]
+        made.append(Expression(given, name, f"{studio.labels[given]}_{name}", weights, plausibility))
+    return tuple(made)
+
+
+def _sharpness(
+    studio: Studio, chosen: Sequence[tuple[int, int]], told: Sequence[Mapping[str, Any]]
+) -> dict[str, Any]:
+    """Give the mean sharpness of each identity's own expressions (k,), and of the pixel averages."""
+    measured: dict[str, list[float]] = {}
+    for (source, _), one in zip(chosen, told, strict=True):
+        measured.setdefault(studio.cast.keys[source], []).append(one["source_sharpness"])
+    sources = [
+        float(np.mean(measured[key])) if key in measured else _mean_sharpness(studio, model)
+        for key, model in zip(studio.keys, studio.models, strict=True)
+    ]
+    averages = [one["pixel_average_sharpness"] for one in told if "pixel_average_sharpness" in one]
+    return {"sources": np.array(sources), "pixel average": float(np.mean(averages))}
+
+
+def _mean_sharpness(studio: Studio, model: MorphModel) -> float:
+    """Give the sharpness of the mean face of one that takes no part."""
+    onto = affine_between(required_faceframe(model), studio.faceframe(0))
+    return sharpness(version_picture(model.mean, onto), studio.mixer(0).mask_picture)
+
+
+def _build(
+    studio: Studio,
+    chosen: Sequence[tuple[int, int]],
+    frames: BlendedFrames,
+    work_folder: Path,
+    amount: float,
+) -> Steps[Build]:
+    """Build the model of the blended pictures, with keypoints (Nagle section 4, step 9)."""
+    settings = studio.settings
+    asked = BuildSettings(components=settings.components, flow=settings.flow, finder=settings.finder)
+    if settings.finder is None:
+        index = _nearest_to_rest(studio, chosen)
+        source = chosen[index][0]
+        points = _faceframe_in(studio, source, chosen[index][1])
+        asked = replace(
+            asked,
+            faceframe=required_faceframe(studio.cast.models[source]).moved(points),
+            faceframe_index=index,
+        )
+    build = yield from build_steps(frames, asked, work_folder, _provenance(studio, frames, amount))
+    model = build.model
+    if model.faceframe is None:
+        source, frame = chosen[build.choice.index]
+        points = reference_to_mean(model, _faceframe_in(studio, source, frame))
+        model = model.with_faceframe(required_faceframe(studio.cast.models[source]).moved(points))
+    if not isinstance(model.provenance.get("keypoints"), Mapping) and model.faceframe is not None:
+        origin = {"source": "blend", "lip": lip_of(studio.cast.models[0]), "on": "mean"}
+        model = model.with_faceframe(model.faceframe, origin)
+    return replace(build, model=model)
+
+
+def _nearest_to_rest(studio: Studio, chosen: Sequence[tuple[int, int]]) -> int:
+    """Give the expression whose own loadings are nearest to its model's mean, in SD."""
+    far = []
+    for source, frame in chosen:
+        model = studio.cast.models[source]
+        sd = np.where(model.sd > 0, model.sd, np.inf)
+        far.append(float(np.mean((model.training.values[frame] / sd) ** 2)))
+    return int(np.argmin(far))
+
+
+def _faceframe_in(studio: Studio, source: int, frame: int) -> AnyArray:
+    """Give the faceframe (3, 2) px in a blended picture: that onto which all mean faces were aligned, moved by it."""
+    blend = studio.mixer(source).blended(studio.versions(source, frame))
+    return move_points(blend.displacement, required_faceframe(studio.cast.models[studio.reference]).points)
+
+
+def _provenance(studio: Studio, frames: BlendedFrames, amount: float) -> dict[str, Any]:
+    models = [studio.models[given] for given in studio.part]
+    labels = [studio.labels[given] for given in studio.part]
+    width, height = models[0].size
+    settings = studio.settings
+    return {
+        "identity": "avatar",
+        "versions": {},
+        **settings.provenance,
+        "consent": _together(labels, [model.provenance.get("consent") for model in models]),
+        "licence": _together(labels, [model.provenance.get("licence") for model in models]),
+        "frame_rate_hz": None,
+        "framing": {"source_size": [width, height], "crop": None, "size": [width, height]},
+        "inputs": dict(zip(frames.names, frames.digests, strict=True)),
+        "blend": {
+            "identities": labels,
+            "model_ids": [model.model_id for model in models],
+            "weights": [float(share) for share in studio.shares],
+            "reference": labels[studio.reference],
+            "surround": None if studio.surround is None else labels[studio.surround],
+            "faceframe": settings.faceframe,
+            "method": studio.cast.method,
+            "max_sd": studio.cast.max_sd,
+            "expressions": settings.expressions,
+            "sharpen": amount,
+        },
+    }
+
+
+def _together(labels: Sequence[str], told: Sequence[Any]) -> Any:
+    """Give what all models tell, or who tells what; None where nobody tells anything."""
+    if all(one == told[0] for one in told):
+        return told[0]
+    return "; ".join(
+        f"{label}: {'not told' if one is None else one}" for label, one in zip(labels, told, strict=True)
+    )
+
+
+def _notes(studio: Studio, expressions: Sequence[Expression]) -> tuple[str, ...]:
+    notes = []
+    idle = [studio.labels[i] for i in range(len(studio.models)) if i not in studio.part]
+    if idle:
+        notes.append(f"{', '.join(idle)}: weight 0, so neither face nor expressions take part")
+    names = [model.identity for model in studio.models]
+    for name in dict.fromkeys(name for name in names if names.count(name) > 1):
+        notes.append(
+            f"{names.count(name)} of the models are of {name}: that identity counts so many times; leave out what "
+            "repeats"
+        )
+    for given in studio.part:
+        out = [one for one in expressions if one.weights[given] == 0]
+        if out:
+            shown = ", ".join(one.name for one in out[:3])
+            notes.append(
+                f"{studio.labels[given]} is left out of {len(out)} of {len(expressions)} expressions that it cannot "
+                f"show ({shown}{', ...' if len(out) > 3 else ''}): there it enters with its mean face only"
+            )
+    if studio.settings.faceframe != SOURCE and len(studio.part) == 1:
+        notes.append("only one identity has any weight: the avatar is that person")
+    return tuple(notes)

@@ -1,0 +1,132 @@
+"""All identities on one grid: the mean face of the reference identity, to which the other mean faces correspond.
+
+Nagle finds the flow from the k versions of each expression to the reference identity's (section 4, step 8). Here each
+version is a morph already: its model knows where every point of its mean face went. So people are put in correspondence
+once, mean face to mean face, where all are at rest and the flow is surest, held by the points of the face mesh; and a
+version's correspondence follows by composition, the same for every expression. Nothing is resampled twice, and the
+cost of a flow is paid once an identity. (Ours.)
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from morphspace import warp
+from morphspace.anchoring import HELD, spline_from
+from morphspace.arrays import Affine, AnyArray, Displacement, Image, Mask
+from morphspace.faces import FaceFrame, identity_affine
+from morphspace.flow import methods
+from morphspace.flow.folds import unfolded
+from morphspace.keypoints import affine_between, affine_between_models, landmarks_of, required_faceframe
+from morphspace.model import MorphModel
+from morphspace.morph import Morph
+
+MOST_BEYOND_POINTS = 0.02  # of the width: how far the flow may leave the spline through the points
+NEXT_TO_MASK = 0.05  # of the width, sd: how far around the mask motion still follows the face
+
+
+@dataclass(frozen=True, eq=False)
+class Laid:
+    """A morph on the common grid: texture (h, w, 3), and displacement (h, w, 2) px to its place in the picture."""
+
+    texture: Image
+    displacement: Displacement
+
+
+@dataclass(frozen=True, eq=False)
+class CommonFace:
+    """The common grid: `fields` (h, w, 2) px from it to each identity's mean face, and the blend's `mask` (h, w)."""
+
+    models: Sequence[MorphModel]
+    fields: Sequence[Displacement]
+    mask: Mask
+
+    def laid(self, identity: int, morph: Morph, place: Affine) -> Laid:
+        """Lay a morph of an identity on the grid; `place` (2, 3) takes its pictures' points to the aligned picture."""
+        field = self.fields[identity]
+        texture, moved = morph.texture, morph.displacement
+        if field.any():
+            texture = warp.sample(texture, field)
+            moved = warp.compose(moved, field)
+        return Laid(texture, placed(moved, place))
+
+
+def placed(displacement: Displacement, place: Affine) -> Displacement:
+    """Give the displacement whose end points are moved by an affine (2, 3) as well."""
+    if np.allclose(place, identity_affine(), rtol=0, atol=1e-9):
+        return displacement
+    height, width = displacement.shape[:2]
+    x, y = warp.positions(displacement)
+    x, y = x.astype(np.float64), y.astype(np.float64)
+    out = np.empty_like(displacement)
+    out[..., 0] = place[0, 0] * x + place[0, 1] * y + place[0, 2] - np.arange(width)
+    out[..., 1] = place[1, 0] * x + place[1, 1] * y + place[1, 2] - np.arange(height)[:, None]
+    return out
+
+
+def version_picture(morph: Morph, place: Affine) -> Image:
+    """Draw a version (h, w, 3) in its aligned place: the second alignment (Nagle section 4, step 7)."""
+    return warp.render(morph.texture, placed(morph.displacement, place))
+
+
+def places_on(models: Sequence[MorphModel], faceframe: FaceFrame) -> list[Affine]:
+    """Give the affine (2, 3) that takes each identity's mean face onto a faceframe."""
+    return [affine_between(required_faceframe(model), faceframe) for model in models]
+
+
+def mean_faceframe(models: Sequence[MorphModel], weights: AnyArray) -> FaceFrame:
+    """Give the weighted mean of the identities' faceframes."""
+    points = [required_faceframe(model).points for model in models]
+    return required_faceframe(models[0]).moved(np.tensordot(weights, np.array(points), 1))
+
+
+def common_face(models: Sequence[MorphModel], keys: Sequence[str], reference: int, flow: str) -> CommonFace:
+    """Put the mean face of every identity in correspondence with that of `reference`."""
+    home = models[reference]
+    height, width = home.mask.shape
+    find = methods.for_morphs(flow)(np.array(home.mean.texture))
+    fields = []
+    for model, key in zip(models, keys, strict=True):
+        if key == keys[reference]:
+            fields.append(np.zeros((height, width, 2), np.float32))
+            continue
+        start, held = _start(home, model)
+        rest = find(warp.sample(np.array(model.mean.texture), start), None).displacement
+        if held:
+            rest = _shortened(rest, MOST_BEYOND_POINTS * width)
+        fields.append(unfolded(warp.compose(start, rest)))
+    masks = [
+        warp.sample_field(model.mask, field) if field.any() else np.array(model.mask)
+        for model, field in zip(models, fields, strict=True)
+    ]
+    return CommonFace(models, fields, np.clip(np.min(masks, axis=0), 0, 1).astype(np.float32))
+
+
+def _start(home: MorphModel, other: MorphModel) -> tuple[Displacement, bool]:
+    """Give where the correspondence starts, (h, w, 2) px, and whether points of the face hold it there."""
+    height, width = home.mask.shape
+    points = [landmarks_of(model) for model in (home, other)]
+    if points[0] is None or points[1] is None:
+        return warp.affine_displacement(affine_between_models(home, other), height, width), False
+    held = list(HELD)
+    return unfolded(spline_from(points[0][held], height, width)(points[1][held])), True
+
+
+def _shortened(field: Displacement, most_px: float) -> Displacement:
+    """Draw a field's vectors smoothly inside a length."""
+    length = np.hypot(field[..., 0], field[..., 1])[..., None]
+    out: Displacement = field / np.sqrt(1 + (length / np.float32(most_px)) ** 2)
+    return out
+
+
+def around(mask: Mask) -> Mask:
+    """Give a wider, softer mask (h, w): 1 inside, falling to 0 at some distance."""
+    sd_px = NEXT_TO_MASK * mask.shape[1]
+    side = 2 * round(sd_px) + 1
+    wide = cv2.dilate(mask, cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (side, side)))
+    out: Mask = np.maximum(mask, cv2.GaussianBlur(wide, (0, 0), sd_px / 2, borderType=cv2.BORDER_REPLICATE))
+    return out

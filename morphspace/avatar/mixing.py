@@ -1,0 +1,122 @@
+"""The weighted mean morph of an expression's versions, on one grid, and what surrounds it (Nagle section 4, step 8).
+
+Identity and expression are mixed apart: the identity is the weighted mean of all mean faces, always; the expression is
+the weighted mean of what each version adds to its own mean face, and versions that cannot be believed add less or
+nothing. Where all are believed that is the plain weighted mean of the versions. So the face stays the same person when
+one of its identities cannot follow. (Ours.)
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from morphspace import warp
+from morphspace.arrays import Affine, AnyArray, Image, Mask
+from morphspace.avatar.common_face import CommonFace, Laid, around, version_picture
+from morphspace.avatar.versions import LEAST, Version
+from morphspace.flow.folds import unfolded
+
+GREY = 0.5  # of a flat surround
+
+
+@dataclass(frozen=True, eq=False)
+class Mixer:
+    """Mixes versions onto one faceframe.
+
+    `common` the grid | `weights` (n,) of the identities, sum 1 | `places` (2, 3) each, from their pictures to the
+    aligned picture | `surround` the identity whose hair, neck and background stay, None for flat grey.
+    """
+
+    common: CommonFace
+    weights: AnyArray
+    places: Sequence[Affine]
+    surround: int | None
+
+    @cached_property
+    def rest(self) -> tuple[Laid, ...]:
+        """The mean face of each identity on the grid."""
+        models = self.common.models
+        return tuple(self.common.laid(i, models[i].mean, place) for i, place in enumerate(self.places))
+
+    @cached_property
+    def mean(self) -> Laid:
+        """The weighted mean of the mean faces: who the avatar is."""
+        return _sum(self.weights, self.rest)
+
+    @cached_property
+    def near(self) -> Mask:
+        """Where motion of the face may still move what surrounds it, (h, w)."""
+        return around(self.common.mask)
+
+    @cached_property
+    def mask_picture(self) -> Mask:
+        """The mask (h, w) as it lies in the aligned picture of the mean face."""
+        return np.clip(warp.render(self.common.mask[..., None], self.mean.displacement)[..., 0], 0, 1)
+
+    def used(self, versions: Sequence[Version]) -> AnyArray:
+        """Give the weights (n,), sum 1, with which the versions' motion and colour count."""
+        believed = np.array([version.plausibility for version in versions])
+        weights = self.weights * np.where(believed < LEAST, 0.0, believed)
+        out: AnyArray = weights / weights.sum()  # the source's own counts in full, so the sum is above 0
+        return out
+
+    def mixed(self, versions: Sequence[Version]) -> Image:
+        """Give the blended picture (h, w, 3) of an expression's versions, one an identity."""
+        blend = self.blended(versions)
+        return warp.render(blend.texture, blend.displacement)
+
+    def blended(self, versions: Sequence[Version]) -> Laid:
+        """Give the blended morph on the common grid, surround included, without folds."""
+        used = self.used(versions)
+        laid = {
+            i: self.common.laid(i, version.morph, self.places[i])
+            for i, version in enumerate(versions)
+            if used[i] > 0 or i == self.surround
+        }
+        added = _sum(
+            [used[i] for i in laid],
+            [
+                Laid(one.texture - self.rest[i].texture, one.displacement - self.rest[i].displacement)
+                for i, one in laid.items()
+            ],
+        )
+        outside = self._outside(versions, laid, added)
+        inside = self.common.mask[..., None]
+        texture = self.mean.texture + added.texture
+        displacement = self.mean.displacement + added.displacement
+        texture = outside.texture + inside * (texture - outside.texture)
+        displacement = outside.displacement + inside * (displacement - outside.displacement)
+        return Laid(texture, unfolded(displacement))
+
+    def picture(self, identity: int, version: Version) -> Image:
+        """Give a version (h, w, 3) by itself, aligned as the blend is."""
+        return version_picture(version.morph, self.places[identity])
+
+    def _outside(self, versions: Sequence[Version], laid: dict[int, Laid], added: Laid) -> Laid:
+        """Give what surrounds the face: as its identity shows the expression, so far as that is believed.
+
+        What is not believed rests, and follows the blend's motion next to the mask only, so that a jaw does not tear.
+        """
+        near = self.near[..., None]
+        if self.surround is None:
+            grey = np.full_like(self.mean.texture, GREY)
+            return Laid(grey, self.mean.displacement + near * added.displacement)
+        own, rest = laid[self.surround], self.rest[self.surround]
+        share = versions[self.surround].plausibility
+        share = 0.0 if share < LEAST else share
+        texture = rest.texture + share * (own.texture - rest.texture)
+        moved = share * (own.displacement - rest.displacement) + (1 - share) * near * added.displacement
+        return Laid(texture, rest.displacement + moved)
+
+
+def _sum(weights: Sequence[float] | AnyArray, laid: Sequence[Laid]) -> Laid:
+    """Give the weighted sum; in the order given, in float32."""
+    texture, displacement = np.zeros_like(laid[0].texture), np.zeros_like(laid[0].displacement)
+    for weight, one in zip(weights, laid, strict=True):
+        texture += np.float32(weight) * one.texture
+        displacement += np.float32(weight) * one.displacement
+    return Laid(texture, displacement)

@@ -1,0 +1,85 @@
+"""Which identities stand for what, and which of their expressions are blended (Nagle section 4, steps 1 and 2).
+
+Everything here depends on what the models are, never on the order in which they were given.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from morphspace.arrays import LoadingTable
+from morphspace.keypoints import affine_between_models, landmarks_of, required_faceframe
+from morphspace.model import MorphModel, points_document
+from morphspace.storage import digest_of_array, digest_of_json
+
+
+def model_key(model: MorphModel) -> str:
+    """Give a digest of all of a model that a blend depends on: its loadings, its keypoints and its landmarks."""
+    learned = model.landmarks
+    parts = [] if learned is None else [learned.mean, learned.weights, learned.error_px]
+    return digest_of_json(
+        [
+            model.model_id,
+            model.mean.reference_id,
+            model.identity,
+            points_document(model.faceframe),
+            model.provenance.get("keypoints"),
+            [digest_of_array(np.ascontiguousarray(part)) for part in parts],
+        ]
+    )
+
+
+def labels_of(models: Sequence[MorphModel], keys: Sequence[str]) -> tuple[str, ...]:
+    """Give each model a name of its own: its identity, NAME_2, NAME_3 where several are called alike, by digest."""
+    labels: dict[int, str] = {}
+    for place in sorted(range(len(models)), key=lambda i: (keys[i], i)):
+        name, number = models[place].identity, 1
+        while name in labels.values():
+            number += 1
+            name = f"{models[place].identity}_{number}"
+        labels[place] = name
+    return tuple(labels[place] for place in range(len(models)))
+
+
+def nearest_to_all(models: Sequence[MorphModel]) -> int:
+    """Give the place of the model whose mean face is nearest to those of all others; the first of equals.
+
+    Distances are those of the mesh points after the affine, or of the mean textures where one has no mesh points.
+    """
+    totals = [
+        sum(_apart(model, other) for other in models if other is not model) if len(models) > 1 else 0.0
+        for model in models
+    ]
+    return int(np.argmin(np.round(totals, 6)))
+
+
+def _apart(source: MorphModel, target: MorphModel) -> float:
+    """Give how far the mean faces lie apart, in eye distances of the target; by their keypoints where that is all."""
+    points = [landmarks_of(model) for model in (source, target)]
+    faceframe = required_faceframe(target).points
+    eyes_px = float(np.hypot(*(faceframe[1] - faceframe[0])))
+    if points[0] is None or points[1] is None:
+        return float(np.abs(required_faceframe(source).points - faceframe).mean()) / eyes_px
+    affine = affine_between_models(source, target)
+    off = points[0] @ affine[:, :2].T + affine[:, 2] - points[1]
+    return float(np.sqrt((off**2).sum(axis=1).mean())) / eyes_px
+
+
+def spread_out(loadings: LoadingTable, most: int | None) -> list[int]:
+    """Give at most `most` places of faces (n, k), spread out in loading space, in rising order; all where None.
+
+    The first is the face nearest to the mean, each next one the farthest from those chosen (Gonzalez, Theoretical
+    Computer Science 38, 1985). Distances are those of the model's inner product, in which loadings are coordinates.
+    """
+    count = len(loadings)
+    if most is None or most >= count:
+        return list(range(count))
+    chosen = [int((loadings**2).sum(axis=1).argmin())]
+    far = np.full(count, np.inf)
+    while len(chosen) < most:
+        far = np.minimum(far, ((loadings - loadings[chosen[-1]]) ** 2).sum(axis=1))
+        far[chosen] = -1.0
+        chosen.append(int(far.argmax()))
+    return sorted(chosen)

@@ -1,0 +1,142 @@
+"""What can be asked of a blend, and what one blended expression is."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from morphspace.arrays import AnyArray
+from morphspace.errors import BadInput, SizeMismatch
+from morphspace.facefinder import FaceFinder
+from morphspace.flow import methods
+from morphspace.keypoints import lip_of, required_faceframe
+from morphspace.mimic import MAX_SD, METHODS, Method
+from morphspace.model import MorphModel
+
+AUTO = "auto"
+MEAN, SOURCE = "mean", "source"
+FLAT = "flat"
+EXPRESSIONS = 40  # of each identity; more cost in proportion and add little that is new
+COMPONENTS = 50
+MOST_SHARPEN = 10.0
+
+
+@dataclass(frozen=True, eq=False)
+class AvatarSettings:
+    """How to blend.
+
+    `weights` one a model, None for equal ones | `faceframe` onto which every version is aligned: "mean", the weighted
+    mean of all, "source", that of the identity whose expression it is, or an identity | `reference` the identity on
+    whose mean face all others are laid, None for the one nearest to them | `expressions` of each identity, None for all
+    | `method` of `mimic.METHODS`, or "auto" | `max_sd` bounds each loading | `sharpen` amount of the unsharp mask, None
+    for as sharp as the sources | `surround` the identity whose hair, neck and background stay, "flat" for grey, None
+    for the reference identity's | `flow` between the mean faces, and of the final build | `components` of the result |
+    `finder` finds the face in the blended pictures for the final build | `provenance` joins the result's.
+    """
+
+    weights: Sequence[float] | None = None
+    faceframe: str = MEAN
+    reference: str | None = None
+    expressions: int | None = EXPRESSIONS
+    method: str = AUTO
+    max_sd: float = MAX_SD
+    sharpen: float | None = None
+    surround: str | None = None
+    flow: str = methods.DEFAULT
+    components: int = COMPONENTS
+    finder: FaceFinder | None = None
+    provenance: Mapping[str, Any] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, eq=False)
+class Expression:
+    """One blended expression: frame `frame` of identity `source`.
+
+    `weights` (k,) of each version's motion and colour, sum 1, 0 for what was left out as implausible: that identity
+    enters with its mean face. `plausibility` (k,) in [0, 1], 1 for the source's own, 0 for what takes no part.
+    `name` is the training frame's in the avatar's model.
+    """
+
+    source: int
+    frame: str
+    name: str
+    weights: AnyArray
+    plausibility: AnyArray
+
+
+def check_models(models: Sequence[MorphModel]) -> None:
+    """Raise `BadInput` where the models cannot be blended: fewer than two, sizes, keypoints, components."""
+    if len(models) < 2:
+        raise BadInput(f"{len(models)} model was given: an avatar is blended from at least 2")
+    first = models[0]
+    for model in models:
+        required_faceframe(model)
+        if model.rank < 1 or len(model.training.values) == 0:
+            raise BadInput(
+                f"the model of {model.identity} has {model.rank} components and {len(model.training.values)} training "
+                "frames: build it from more frames"
+            )
+        if model.size != first.size:
+            raise SizeMismatch(
+                f"{first.identity} has frames of {first.size[0]}x{first.size[1]}, {model.identity} of "
+                f"{model.size[0]}x{model.size[1]}: build them at one size (build-model --size)"
+            )
+        if lip_of(model) != lip_of(first):
+            raise BadInput(
+                f"the third keypoint of {first.identity} marks the {lip_of(first)}, that of {model.identity} the "
+                f"{lip_of(model)}: set both the same way with `morphspace keypoints`"
+            )
+
+
+def check_settings(settings: AvatarSettings, count: int) -> AnyArray:
+    """Give the weights (k,), sum 1. Raises `BadInput` for settings that cannot be meant."""
+    methods.named(settings.flow)
+    if settings.method not in (AUTO, *METHODS):
+        raise BadInput(
+            f"there is no mimicry by {settings.method!r}: choose {AUTO}, or one of {', '.join(METHODS)}"
+        )
+    if not (np.isfinite(settings.max_sd) and settings.max_sd > 0):
+        raise BadInput(
+            f"a bound of {settings.max_sd} SD cannot be used: give a number above 0, such as {MAX_SD:g}"
+        )
+    if settings.expressions is not None and settings.expressions < 1:
+        raise BadInput(f"{settings.expressions} expressions were asked for: ask for at least 1, or all")
+    if settings.components < 1:
+        raise BadInput(f"{settings.components} components were asked for: ask for at least 1")
+    amount = settings.sharpen
+    if amount is not None and not 0 <= amount <= MOST_SHARPEN:
+        raise BadInput(f"a sharpening of {amount} cannot be used: give 0 to {MOST_SHARPEN:g}, or auto")
+    return _weights(settings.weights, count)
+
+
+def _weights(asked: Sequence[float] | None, count: int) -> AnyArray:
+    weights = np.ones(count) if asked is None else np.array(asked, np.float64)
+    if weights.shape != (count,):
+        raise BadInput(f"{weights.size} weights do not fit {count} models: give one a model, in their order")
+    if not np.isfinite(weights).all() or (weights < 0).any():
+        raise BadInput(f"the weights {_told(weights)} are not all finite and at least 0: mend them")
+    if not weights.sum() > 0:
+        raise BadInput(f"the weights {_told(weights)} sum to 0: give at least one identity some weight")
+    return weights / weights.sum()
+
+
+def _told(weights: AnyArray) -> str:
+    return ",".join(f"{weight:g}" for weight in weights)
+
+
+def identity_at(name: str, labels: Sequence[str], role: str, others: Sequence[str] = ()) -> int:
+    """Give the place of an identity by its label. Raises `BadInput` where there is none; `others` are told as well."""
+    if name not in labels:
+        raise BadInput(f"{role} {name!r} is none of the identities: choose {', '.join((*others, *labels))}")
+    return list(labels).index(name)
+
+
+def method_of(asked: str, models: Sequence[MorphModel]) -> Method:
+    """Give the method of mimicry: guided where all models know their landmarks, else transfer, if none was asked."""
+    for method in METHODS:
+        if method == asked:
+            return method
+    return "guided" if all(model.landmarks is not None for model in models) else "transfer"

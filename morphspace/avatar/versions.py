@@ -1,0 +1,162 @@
+"""One expression shown by every identity, and how far each of them can be believed (Nagle section 4, step 5).
+
+A model asked for what its person never did shows noise and torn lips, and one such version ruins a blend. So each
+version is judged: how much of the motion at lids, brows and lips is missing (`reach`), how far its loadings lie from
+the faces it knows, and whether mouth and lids open as far as the source's, which the landmark regressions tell. A
+mouth wider open than the target's ever was shows skin where teeth should be, whatever its warp says.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from morphspace.arrays import AnyArray, LoadingVector
+from morphspace.keypoints import affine_between_models, required_faceframe
+from morphspace.landmarks import LandmarkRegression, landmark_places
+from morphspace.mimic import WITH_REST, Method, Mimicry, auto_gain, mimic, offset_of
+from morphspace.model import MorphModel
+from morphspace.morph import Morph, MorphOffset
+from morphspace.reach import reach_of
+from morphspace.recentring import automatic_recentring
+
+MOST_GAIN = 1.3  # above it a model that cannot follow is pushed into faces it does not know
+# Where a version begins to lose weight, and where it is believed no more. By eye, on twenty pairs of five clips.
+MISSING = (0.05, 0.10)  # eye distances of motion; `mimic` flags .10 as out of range
+LENGTH_SD = (1.7, 2.3)  # root mean square loading; training faces have 1
+MISFIT = (0.06, 0.14)  # eye distances between the gap asked for and the one shown, of lips or lids
+BEYOND = (0.03, 0.10)  # eye distances by which the lips are asked to open further than they ever did
+LEAST = 0.25  # plausibility below which a version is left out
+# Opposite points of the lids and of the inner lips, as places in those groups of landmarks.
+LID_GAPS = ((4, 12), (20, 28))
+LIP_GAP = (15, 5)
+
+
+@dataclass(frozen=True, eq=False)
+class Version:
+    """An expression as one identity shows it: its morph on that identity's mean face, and its plausibility, 0 to 1."""
+
+    morph: Morph
+    plausibility: float
+
+
+Show = Callable[[LoadingVector, MorphOffset], Version]
+"""Takes loadings (k,) and offset of a face of the source, and gives the target's version of it."""
+
+
+@dataclass(frozen=True, eq=False)
+class Cast:
+    """The identities that take part: their models and keys, and how expressions are carried between them."""
+
+    models: Sequence[MorphModel]
+    keys: Sequence[str]
+    method: Method
+    max_sd: float
+
+    def shows_from(self, source: int) -> tuple[Show, ...]:
+        """Prepare every identity to show what `source` shows; one of the same model shows it as it is."""
+        own = self.models[source]
+        return tuple(
+            _as_it_is(own) if key == self.keys[source] else _projected(own, model, self.method, self.max_sd)
+            for model, key in zip(self.models, self.keys, strict=True)
+        )
+
+    def versions(self, source: int, shows: Sequence[Show], frame: int) -> list[Version]:
+        """Give the version of each identity of training frame `frame` of `source`."""
+        model = self.models[source]
+        loadings = np.array(model.training.values[frame], np.float64)
+        offset = offset_of(model, loadings)
+        return [show(loadings, offset) for show in shows]
+
+
+def _as_it_is(model: MorphModel) -> Show:
+    return lambda _, offset: Version(model.mean + offset, 1.0)
+
+
+def _projected(source: MorphModel, target: MorphModel, method: Method, max_sd: float) -> Show:
+    origin = automatic_recentring(source, target)
+    gain = min(MOST_GAIN, auto_gain(source, target, method, origin=origin)) if method in WITH_REST else 1.0
+    make = mimic(source, target, method, gain=gain, max_sd=max_sd, origin=origin)
+    rest = None
+    if origin is not None:
+        rest = offset_of(source, origin.source), offset_of(target, origin.target)
+    reach = reach_of(source, target, 1.0, rest)  # the motion that was made, not what the gain makes of it
+    at_rest = np.zeros(source.rank) if origin is None else origin.source
+    shown_at_rest = np.zeros(target.rank) if origin is None else origin.target
+    gaps = Gaps(source, target, at_rest, shown_at_rest) if _know_landmarks(source, target) else None
+
+    def show(loadings: LoadingVector, offset: MorphOffset) -> Version:
+        made: Mimicry = make(offset)
+        factors = [
+            falling(reach(offset, made).missing_motion, MISSING),
+            falling(made.quality.length_sd, LENGTH_SD),
+        ]
+        if gaps is not None:
+            misfit, beyond = gaps.judged(loadings, made.loadings)
+            factors += [falling(misfit, MISFIT), falling(beyond, BEYOND)]
+        return Version(made.morph, float(np.prod(factors)))
+
+    return show
+
+
+def _know_landmarks(source: MorphModel, target: MorphModel) -> bool:
+    return source.landmarks is not None and target.landmarks is not None
+
+
+def falling(value: float, limits: tuple[float, float]) -> float:
+    """Give 1 up to the first limit, 0 from the second, and a straight line between."""
+    return float(np.clip((limits[1] - value) / (limits[1] - limits[0]), 0, 1))
+
+
+@dataclass(frozen=True, eq=False)
+class Gaps:
+    """How far lips and lids stand open, asked and shown, in eye distances of the target.
+
+    Resting faces differ in how far they stand open, so changes from rest are compared.
+    """
+
+    source: MorphModel
+    target: MorphModel
+    source_rest: LoadingVector
+    target_rest: LoadingVector
+    linear: AnyArray = field(init=False)
+    eyes_px: float = field(init=False)
+    most_px: float = field(init=False)
+
+    def __post_init__(self) -> None:
+        right, left, _ = required_faceframe(self.target).points
+        object.__setattr__(self, "linear", affine_between_models(self.source, self.target)[:, :2])
+        object.__setattr__(self, "eyes_px", float(np.hypot(*(left - right))))
+        known = [self._of(self.target, row)[0] for row in self.target.training.values]
+        object.__setattr__(self, "most_px", float(max(known)))
+
+    def judged(self, loadings: LoadingVector, shown: LoadingVector) -> tuple[float, float]:
+        """Give how far the worst gap misses what was asked, and how far the lips are asked beyond what they ever did.
+
+        `loadings` (k_A,) of the source's face, `shown` (k_B,) of the target's; both in eye distances.
+        """
+        asked = self._of(self.source, loadings, self.linear) - self._of(
+            self.source, self.source_rest, self.linear
+        )
+        at_rest = self._of(self.target, self.target_rest)
+        made = self._of(self.target, shown) - at_rest
+        misfit = np.abs(asked - made).max()
+        return float(misfit) / self.eyes_px, float(asked[0] + at_rest[0] - self.most_px) / self.eyes_px
+
+    def _of(self, model: MorphModel, loadings: LoadingVector, linear: AnyArray | None = None) -> AnyArray:
+        """Give the gaps (3,) px of the inner lips and of both pairs of lids in a face of a model."""
+        points = _regression(model).at(loadings)
+        lips, lids = points[landmark_places("inner lips")], points[landmark_places("lids")]
+        across = [lips[LIP_GAP[0]] - lips[LIP_GAP[1]], *(lids[low] - lids[high] for low, high in LID_GAPS)]
+        if linear is not None:
+            across = [linear @ gap for gap in across]
+        return np.array([float(np.hypot(*gap)) for gap in across])
+
+
+def _regression(model: MorphModel) -> LandmarkRegression:
+    learned = model.landmarks
+    if learned is None:
+        raise AssertionError("gaps are only asked of models that know their landmarks")
+    return learned
