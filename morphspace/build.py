@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from morphspace import faces, warp
+from morphspace import facemask, faces, warp
 from morphspace.anchoring import FaceAnchor, rigid_movement
 from morphspace.arrays import Affine, AnyArray, Displacement, Image, Mask
 from morphspace.basis import basis_from_gram, gram_matrix, mean_row
@@ -47,9 +47,6 @@ from morphspace.workframes import (
 
 MIN_FRAMES = 3
 COMPONENTS = 50
-MASK_OVERLAP = (
-    0.6  # of the ellipse where faces usually are with that of the face found, intersection over union
-)
 
 
 @dataclass(frozen=True, eq=False)
@@ -140,7 +137,8 @@ def build_steps(
             "draw it on the reference at the size of the frames"
         )
     placed = settings.faceframe or (None if face is None else face.faceframe())
-    masked = settings.faceframe or _mask_place(face, height, width, settings)
+    overlap = 1.0 if settings.anchored else facemask.OVERLAP
+    masked = settings.faceframe or facemask.place_of_mask(face, height, width, overlap)
     plan = FramePlan(
         reference=reference,
         reference_index=choice.index,
@@ -156,7 +154,9 @@ def build_steps(
     registrations, mean_field = _mean_field(files)
     mean_inverse = invert_mean_shape(mean_field)
     faceframe = _faceframe_on_mean(settings, files, registrations, mean_field)
-    mask = _mask_on_mean(settings.mask, mean_inverse, faceframe or (masked and _carried(masked, mean_field)))
+    mask = facemask.mask_on_mean(
+        settings.mask, mean_inverse, faceframe or (masked and _carried(masked, mean_field))
+    )
     reference_id = digest_of_json([digest_of_array(reference), digest_of_array(mean_inverse)])[:16]
     with _row_file(work_folder, count, 5 * height * width) as rows:
         measured = yield from _morph_pass(rows, files, mean_inverse, mask, reference_id)
@@ -179,7 +179,7 @@ def build_steps(
         **provenance,
         "reference": {"frame": choice.name, "reason": choice.reason, "sha256": digest_of_array(reference)},
         "flow_start": settings.start,
-        "mask_from": _mask_origin(settings, masked),
+        "mask_from": facemask.origin_of_mask(settings.mask, settings.faceframe, masked),
         "landmarks": None if settings.finder is None else _landmarks_document(settings, found, choice),
         "components_asked": settings.components,
         "warp_weight_trials": [[t.weight, t.psnr_db] for t in trials],
@@ -364,39 +364,6 @@ def _faceframe_on_mean(
 def _carried(faceframe: FaceFrame, mean_field: Displacement) -> FaceFrame:
     """Carry a faceframe from the reference to the mean face."""
     return faceframe.moved(warp.move_points(mean_field, faceframe.points))
-
-
-def _mask_place(
-    face: FacePoints | None, height: int, width: int, settings: BuildSettings
-) -> FaceFrame | None:
-    """Give what places the mask: the face found in the reference, where the usual ellipse does not lie on it.
-
-    The usual one takes in more of forehead and chin, and held-out frames come back a little better with it.
-    """
-    if face is None:
-        return None
-    found, usual = faces.face_mask(height, width, face.faceframe()), faces.face_mask(height, width)
-    fits = float(np.minimum(found, usual).sum()) >= MASK_OVERLAP * float(np.maximum(found, usual).sum())
-    return None if fits and not settings.anchored else face.faceframe()
-
-
-def _mask_origin(settings: BuildSettings, placed: FaceFrame | None) -> str:
-    if settings.mask is not None:
-        return "given"
-    if settings.faceframe is not None:
-        return "faceframe"
-    return "ellipse" if placed is None else "found face"
-
-
-def _mask_on_mean(drawn: Mask | None, mean_inverse: Displacement, faceframe: FaceFrame | None) -> Mask:
-    """Carry the mask from the reference to the mean face; an ellipse where none was drawn there."""
-    if drawn is None:
-        height, width = mean_inverse.shape[:2]
-        return faces.face_mask(height, width, faceframe)
-    mask = np.clip(warp.sample_field(drawn.astype(np.float32), mean_inverse), 0, 1)
-    if not mask.any():
-        raise BadInput("the mask is empty (0 everywhere): paint the face white")
-    return mask
 
 
 def _warnings(source: FrameSource, choice: ReferenceChoice, model: MorphModel) -> tuple[str, ...]:

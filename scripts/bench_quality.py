@@ -118,9 +118,9 @@ def with_landmarks(data: Path, clips: tuple[str, ...], work: Path) -> None:
     """Print how held-out frames come back from models built without and with the points of the face, side by side."""
     print("### Held-out reconstruction, without and with landmarks\n")
     print(
-        "As above, fitted: PSNR (dB) of pixel PCA and gain over it, by models built with `--landmarks none`, "
-        "`auto` and `anchor`. Each way has its own mask and its own alignment, so the PSNRs of both are not of the same pixels; the "
-        "gains are each over its own peer. Scale: the smallest and largest size registration gave a frame. Left: "
+        "As above, fitted: PSNR (dB) of pixel PCA and gain over it, by models built with `--landmarks none`, `auto` "
+        "and `anchor`. Each way has its own alignment and may have its own mask, so the PSNRs are not all of the same "
+        "pixels; the gains are each over its own peer. Scale: the smallest and largest registration gave a frame. Left: "
         "median / largest root mean square of what the flow leaves of the training frames, colour in 8-bit codes.\n"
     )
     rows: list[list[object]] = []

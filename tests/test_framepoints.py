@@ -6,7 +6,7 @@ import numpy as np
 from numpy.testing import assert_allclose, assert_array_equal
 
 from morphspace import build as build_module
-from morphspace import warp
+from morphspace import facemask, warp
 from morphspace.build import BuildSettings, build_steps
 from morphspace.facefinder import FaceFinder
 from morphspace.facepoints import (
@@ -88,7 +88,8 @@ def built(clip, folder, settings=SETTINGS, **finder):
     return result_of(build_steps(clip, wanted, folder, PROVENANCE))
 
 
-def test_a_build_takes_mask_rigid_part_and_keypoints_from_the_face(clip, tmp_path):
+def test_a_build_takes_mask_rigid_part_and_keypoints_from_the_face(clip, tmp_path, monkeypatch):
+    monkeypatch.setattr(facemask, "OVERLAP", 1.0)  # as if the usual ellipse lay beside the face
     build = built(clip, tmp_path / "with")
     model = build.model
     face = FacePoints(neutral_points(), 0.9)
@@ -103,6 +104,15 @@ def test_a_build_takes_mask_rigid_part_and_keypoints_from_the_face(clip, tmp_pat
         clip.names
     )
     assert build.faces_found.all() and not build.warnings
+
+
+def test_the_usual_mask_stays_where_it_lies_on_the_face():
+    face = FacePoints(neutral_points(), 0.9)
+    assert facemask.place_of_mask(face, HEIGHT, WIDTH, 0.3) is None
+    beside = FacePoints(neutral_points() / 3, 0.9)  # small, in a corner
+    found = facemask.place_of_mask(beside, HEIGHT, WIDTH, 0.3)
+    assert found is not None and found.points.tolist() == beside.faceframe().points.tolist()
+    assert facemask.place_of_mask(None, HEIGHT, WIDTH, 0.3) is None
 
 
 def test_a_frame_without_a_face_goes_without_and_is_counted(clip, tmp_path):

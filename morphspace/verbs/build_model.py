@@ -48,10 +48,10 @@ class BuildModelRequest:
     `report` the page, None for one beside the model; `components` the most to keep; `size` (w, h) px or None for the
     frames' own (200 x 240 where they are larger than 400 px); `crop` (x, y, w, h) px, or "auto" for one around the
     head; `landmarks` "auto" finds the face in every frame where the detector's files are, "anchor" also holds the flow
-    to it, "none" does not; `mask` a grey picture of the reference's size, white where the face is; `reference` a frame's
-    name or file, None to choose;
-    `start` "auto" tries hard frames again from a neighbour's flow, "none" does not; `warp_weight` colour per px, None
-    to cross-validate; `work_folder` kept when given, else beside the output and removed at the end.
+    to it, "none" does not; `mask` a grey picture of the reference's size, white where the face is; `reference` a
+    frame's name or file, None to choose; `start` "auto" tries hard frames again from a neighbour's flow, "none" does
+    not; `warp_weight` colour per px, None to cross-validate; `work_folder` kept when given, else beside the output and
+    removed at the end.
     """
 
     sources: tuple[str, ...]

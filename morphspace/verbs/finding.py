@@ -13,8 +13,8 @@ from morphspace.progress import Step, Steps, in_order
 from morphspace.reference import spread
 
 Landmarks = Literal["auto", "anchor", "none"]
-"""`auto`: the face is found in every frame where the detector's files are; `anchor`: it must be, and the flow is held to
-its points; `none`: it is not looked for."""
+"""`auto`: the face is found in every frame where the detector's files are; `anchor`: it must be, and the flow is held
+to its points; `none`: it is not looked for."""
 CROP_FRAMES = 24  # of a clip, evenly spread, in which the face is looked for to crop it
 WITHOUT = (
     "built without face points: rigid part and mask are where a cropped face usually has them, and the model has no "
