@@ -120,7 +120,7 @@ def with_landmarks(data: Path, clips: tuple[str, ...], work: Path) -> None:
     print(
         "As above, fitted: PSNR (dB) of pixel PCA and gain over it, by models built with `--landmarks none`, `auto` "
         "and `anchor`. Each way has its own alignment and may have its own mask, so the PSNRs are not all of the same "
-        "pixels; the gains are each over its own peer. Scale: the smallest and largest registration gave a frame. Left: "
+        "pixels; the gains are each over its own peer. Scale: smallest and largest registration gave a frame. Left: "
         "median / largest root mean square of what the flow leaves of the training frames, colour in 8-bit codes.\n"
     )
     rows: list[list[object]] = []

@@ -18,6 +18,7 @@ import numpy as np
 from morphspace import warp
 from morphspace.anchoring import HELD, spline_from
 from morphspace.arrays import Affine, AnyArray, Displacement, Image, Mask
+from morphspace.avatar import visible
 from morphspace.faces import FaceFrame, identity_affine
 from morphspace.flow import methods
 from morphspace.flow.folds import unfolded
@@ -39,11 +40,14 @@ class Laid:
 
 @dataclass(frozen=True, eq=False)
 class CommonFace:
-    """The common grid: `fields` (h, w, 2) px from it to each identity's mean face, and the blend's `mask` (h, w)."""
+    """The common grid: `fields` (h, w, 2) px from it to each identity's mean face; the blend's `mask` (h, w); and how
+    much of each identity's mean face is skin rather than hair, `skin` (h, w) each.
+    """
 
     models: Sequence[MorphModel]
     fields: Sequence[Displacement]
     mask: Mask
+    skin: Sequence[Mask]
 
     def laid(self, identity: int, morph: Morph, place: Affine) -> Laid:
         """Lay a morph of an identity on the grid; `place` (2, 3) takes its pictures' points to the aligned picture."""
@@ -99,11 +103,14 @@ def common_face(models: Sequence[MorphModel], keys: Sequence[str], reference: in
         if held:
             rest = _shortened(rest, MOST_BEYOND_POINTS * width)
         fields.append(unfolded(warp.compose(start, rest)))
-    masks = [
-        warp.sample_field(model.mask, field) if field.any() else np.array(model.mask)
+    masks = [warp.sample_field(model.mask, field) for model, field in zip(models, fields, strict=True)]
+    outline = visible.inside_outline(home)
+    mask = np.clip(np.min([*masks, *([] if outline is None else [outline])], axis=0), 0, 1).astype(np.float32)
+    skin = [
+        visible.skin_share(home, warp.sample(np.array(model.mean.texture), field), mask)
         for model, field in zip(models, fields, strict=True)
     ]
-    return CommonFace(models, fields, np.clip(np.min(masks, axis=0), 0, 1).astype(np.float32))
+    return CommonFace(models, fields, mask, skin)
 
 
 def _start(home: MorphModel, other: MorphModel) -> tuple[Displacement, bool]:
@@ -118,9 +125,8 @@ def _start(home: MorphModel, other: MorphModel) -> tuple[Displacement, bool]:
 
 def _shortened(field: Displacement, most_px: float) -> Displacement:
     """Draw a field's vectors smoothly inside a length."""
-    length = np.hypot(field[..., 0], field[..., 1])[..., None]
-    out: Displacement = field / np.sqrt(1 + (length / np.float32(most_px)) ** 2)
-    return out
+    square = (field * field).sum(axis=2, keepdims=True) / np.float32(most_px**2)
+    return (field / np.sqrt(1 + square)).astype(np.float32)
 
 
 def around(mask: Mask) -> Mask:

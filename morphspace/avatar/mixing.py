@@ -21,6 +21,7 @@ from morphspace.avatar.versions import LEAST, Version
 from morphspace.flow.folds import unfolded
 
 GREY = 0.5  # of a flat surround
+LEAST_SKIN = 1e-3  # share that hair keeps: where all have hair, all count alike
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,7 +46,18 @@ class Mixer:
     @cached_property
     def mean(self) -> Laid:
         """The weighted mean of the mean faces: who the avatar is."""
-        return _sum(self.weights, self.rest)
+        mean = _sum(self.weights, self.rest)
+        return Laid(self._without_hair(), mean.displacement)
+
+    def _without_hair(self) -> Image:
+        """Give the weighted mean texture, where some show hair over the forehead of those who show skin."""
+        total = np.zeros_like(self.rest[0].texture)
+        weight = np.zeros((*self.common.mask.shape, 1), np.float32)
+        for share, skin, one in zip(self.weights, self.common.skin, self.rest, strict=True):
+            counts = np.float32(share) * (skin + np.float32(LEAST_SKIN))[..., None]
+            total += counts * one.texture
+            weight += counts
+        return total / weight
 
     @cached_property
     def near(self) -> Mask:
