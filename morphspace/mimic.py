@@ -46,6 +46,7 @@ FEATURE_REACH = 0.06  # sd, of the eye distance
 REST_SHARE = (
     0.5  # of the motion the components cannot express; all of it carries the source's errors over too
 )
+REST_LIMIT = 0.06  # of the eye distance: what is added back bends towards it, so that no gain tears a face
 GUIDES = (
     "lids",
     "inner lips",
@@ -53,7 +54,7 @@ GUIDES = (
 GUIDE_TRUST = 1000.0  # of a landmark, beside all that the offset says; 10 moves little, 5000 gave like faces
 LEAST_ERROR_PX = 0.5  # of a landmark in one model along one axis: a smaller leave-one-out error is luck
 GAIN_FACES = 40  # of the source's training faces, evenly spread, from which `auto_gain` is taken
-GAIN_RANGE = (1.0, 3.0)
+GAIN_RANGE = (1.0, 1.3)  # beyond it, targets that never show what is asked are torn
 
 
 @dataclass(frozen=True, eq=False)
@@ -282,11 +283,17 @@ def feature_weights(model: MorphModel) -> Mask:
 
 
 def _with_rest(passage: Passage, wanted: Displacement, morph: Morph) -> Morph:
-    """Add a share of the wanted motion that the target's components cannot show, inside both masks, without folds."""
+    """Add a share of the wanted motion that the target's components cannot show, inside both masks, without folds.
+
+    It bends towards `REST_LIMIT`: little is added as it is, much is held back.
+    """
     mean = passage.target.mean
     inside = np.float32(REST_SHARE) * (passage.seen * passage.target.mask)[..., None]
-    rest = wanted - (morph.displacement - mean.displacement)
-    moved = unfolded(morph.displacement + inside * rest)
+    rest = inside * (wanted - (morph.displacement - mean.displacement))
+    right, left, _ = required_faceframe(passage.target).points
+    limit_px = REST_LIMIT * float(np.hypot(*(left - right)))
+    rest /= np.sqrt(1 + (rest * rest).sum(axis=2, keepdims=True) / np.float32(limit_px**2))
+    moved = unfolded(morph.displacement + rest)
     return Morph(moved, morph.texture, morph.reference_id)
 
 

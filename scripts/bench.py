@@ -21,6 +21,8 @@ import tempfile
 from collections.abc import Sequence
 from pathlib import Path
 
+import bench_avatar
+import bench_avatar_drawn
 import bench_build
 import bench_detection
 import bench_flow
@@ -132,20 +134,12 @@ def run(section: str, arguments: argparse.Namespace, work: Path) -> None:
     elif section == "mimicry-drawn":
         bench_mimicry_drawn.mimicry_drawn(work)
     elif section == "avatar":
-        import bench_avatar
-
         bench_avatar.avatar(data, work, arguments.face_judge)
     elif section == "avatar-laws":
-        import bench_avatar
-
         bench_avatar.avatar_laws(data, work)
     elif section == "avatar-cost":
-        import bench_avatar
-
         bench_avatar.avatar_cost(data, work)
     elif section == "avatar-drawn":
-        import bench_avatar_drawn
-
         bench_avatar_drawn.avatar_drawn(work)
     elif section == "video":
         bench_video.video_form()

@@ -42,7 +42,7 @@ def shown(model):
         used=used,
         plausibility=plausibility,
         rows=rows,
-        sharpness={"sources": np.array([2e-3, 1e-3, 3e-3]), "blend": 1.8e-3, "pixel average": 5e-4},
+        sharpness={"sources": np.array([2e-3, 1e-3, 3e-3]), "blend": 1.71e-3, "pixel average": 4.75e-4},
         sharpen=0.7,
         surround="Ann",
         distances=MeanDistances(None, np.full((K + 1, K + 1), 5.0)),
@@ -115,7 +115,7 @@ def test_sharpness_is_told_as_a_share_of_the_sources_mean(shown):
     assert row_of(page, "sharpness", "blend")[1] == "90 %"
     assert row_of(page, "sharpness", "pixel average")[1] == "25 %"
     assert "before the unsharp mask" not in page
-    known = avatar_page(replace(shown, sharpness={**shown.sharpness, "unsharpened": 1e-3}))
+    known = avatar_page(replace(shown, sharpness={**shown.sharpness, "unsharpened": 9.5e-4}))
     assert row_of(known, "sharpness", "blend before the unsharp mask")[1] == "50 %"
 
 

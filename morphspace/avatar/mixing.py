@@ -57,7 +57,8 @@ class Mixer:
             counts = np.float32(share) * (skin + np.float32(LEAST_SKIN))[..., None]
             total += counts * one.texture
             weight += counts
-        return total / weight
+        total /= weight
+        return total
 
     @cached_property
     def near(self) -> Mask:

@@ -16,8 +16,9 @@ from morphspace.flow.baselines import LUMA
 from morphspace.keypoints import landmarks_of
 from morphspace.model import MorphModel
 
-INSIDE_OUTLINE = 0.03  # of the width: how far inside the outline the blend ends
-SOFT = 0.015  # of the width, sd of its edge
+INSIDE_OUTLINE = 0.04  # of the width: how far inside the outline the blend ends
+SOFT = 0.015  # of the width, sd of the edge of hair
+EDGE = 0.03  # of the width, sd of the edge of the blend: skin of two people meets there
 ABOVE_BROWS = 0.02  # of the height, from the brows' upper edge to where hair is looked for
 HAIR, SKIN = (
     0.65,
@@ -36,7 +37,7 @@ def inside_outline(model: MorphModel) -> Mask | None:
     filled = _filled(points[list(FACE_OUTLINE)], height, width)
     # Beyond the picture there is face: a chin that touches the edge keeps its mask there.
     smaller = cv2.erode(filled, _disc(INSIDE_OUTLINE * width), borderType=cv2.BORDER_REPLICATE)
-    return cv2.GaussianBlur(smaller, (0, 0), SOFT * width, borderType=cv2.BORDER_REPLICATE)
+    return cv2.GaussianBlur(smaller, (0, 0), EDGE * width, borderType=cv2.BORDER_REPLICATE)
 
 
 def skin_share(home: MorphModel, texture: Image, mask: Mask) -> Mask:
@@ -55,7 +56,7 @@ def skin_share(home: MorphModel, texture: Image, mask: Mask) -> Mask:
         return share
     like_skin = np.clip((luma / own - HAIR) / (SKIN - HAIR), 0, 1).astype(np.float32)
     forehead = _forehead(points, height, width)
-    share = 1 - forehead * (1 - like_skin)
+    share -= forehead * (1 - like_skin)
     share = cv2.erode(share, _disc(AROUND_HAIR * width), borderType=cv2.BORDER_REPLICATE)
     return cv2.GaussianBlur(share, (0, 0), SOFT * width, borderType=cv2.BORDER_REPLICATE)
 
@@ -71,7 +72,7 @@ def _forehead(points: AnyArray, height: int, width: int) -> Mask:
 def _filled(points: AnyArray, height: int, width: int) -> Mask:
     canvas = np.zeros((height, width), np.uint8)
     cv2.fillPoly(canvas, [np.round(points * 2**SUBPIXEL).astype(np.int32)], 255, cv2.LINE_AA, SUBPIXEL)
-    return canvas.astype(np.float32) / 255
+    return (canvas / np.float32(255)).astype(np.float32)
 
 
 def _disc(radius_px: float) -> AnyArray:

@@ -38,10 +38,11 @@ class AvatarShown:
 
     `model` the avatar | `identities` k names | `asked` (k,) weights asked for, sum 1 | `sources` (n,) whose each
     expression is, and `frames` (n,) the name of the training frame there, in the order of the model's training rows |
-    `used` (n, k) weights used, 0 where a version was left out | `plausibility` (n, k) 0 to 1 | `rows` of the contact
-    sheet | `sharpness` variance of the Laplacian inside the mask, of "sources" (k,), "blend", "pixel average" and,
-    where known, "unsharpened" | `sharpen` the amount used | `surround` whose hair, neck and background it has |
-    `distances` between the mean faces, None where unknown | `notes` to read first | `settings` name to value.
+    `used` (n, k) weights of the versions' expressions, 0 where a version was left out | `plausibility` (n, k) 0 to 1
+    | `rows` of the contact sheet | `sharpness` variance of the Laplacian inside the mask, of "sources" (k,), "blend",
+    "pixel average" and, where known, "unsharpened" | `sharpen` the amount used | `surround` whose hair, neck and
+    background it has | `distances` between the mean faces, None where unknown | `notes` to read first | `settings`
+    name to value.
     """
 
     model: MorphModel
@@ -87,9 +88,14 @@ def parts_taken(used: AnyArray, asked: AnyArray) -> AnyArray:
     return np.where(takes_part, kept / most, 1.0)
 
 
+def source_sharpness(shown: AvatarShown) -> float:
+    """Give the mean sharpness of the sources, by the weights asked for."""
+    return float(np.asarray(shown.sharpness["sources"], np.float64) @ np.asarray(shown.asked, np.float64))
+
+
 def sharp_shares(shown: AvatarShown) -> dict[str, float]:
-    """Give the sharpness of what was made as a share of the sources' mean, NaN where that is 0."""
-    mean = float(np.mean(shown.sharpness["sources"]))
+    """Give the sharpness of what was made as a share of the sources' weighted mean, NaN where that is 0."""
+    mean = source_sharpness(shown)
     return {
         name: float(value) / mean if mean > 0 else float("nan")
         for name, value in shown.sharpness.items()

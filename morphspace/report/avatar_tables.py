@@ -6,7 +6,14 @@ import numpy as np
 
 from morphspace.report import sections
 from morphspace.report.avatar_distances import MeanDistances
-from morphspace.report.avatar_shown import FULL_PART, AvatarShown, parts_taken, sharp_shares, told_apart
+from morphspace.report.avatar_shown import (
+    FULL_PART,
+    AvatarShown,
+    parts_taken,
+    sharp_shares,
+    source_sharpness,
+    told_apart,
+)
 from morphspace.report.markup import DASH, NOTHING, TIMES, Html, section, sentence, table, text
 
 SOURCES_SHOWN = 60  # rows of the table of expressions with versions left out; most left out first
@@ -37,14 +44,15 @@ def identities_section(shown: AvatarShown) -> Html:
     head = (
         "Identity",
         "weight asked, %",
-        "weight used, %, mean",
+        "share of expressions, %",
         "expressions given",
         "left out",
         "less weight",
     )
     caption = (
-        "Whose expressions were blended, and how much of each identity is in the blends. Left out, and given less "
-        f"weight (below {FULL_PART:.0%} of its share): versions of the others' expressions that were not plausible."
+        "Each identity enters with the weight asked for, always; its share of expressions is how much its versions of "
+        "them counted, on average. Left out, and given less weight (below "
+        f"{FULL_PART:.0%} of its part): versions of the others' expressions that were not plausible."
     )
     parts = [table(caption, head, rows)]
     if shown.distances is None:
@@ -97,7 +105,7 @@ def sharpness_section(shown: AvatarShown) -> Html:
     """Show how sharp sources, blend and pixel average are."""
     sources = np.asarray(shown.sharpness["sources"], np.float64)
     shares = sharp_shares(shown)
-    mean = float(sources.mean())
+    mean = source_sharpness(shown)
     rows = [
         (
             text(name),
@@ -106,7 +114,7 @@ def sharpness_section(shown: AvatarShown) -> Html:
         )
         for name, value in zip(shown.identities, sources, strict=True)
     ]
-    rows.append((text("mean of the sources"), text(_scientific(mean)), text(percent_of(1.0))))
+    rows.append((text("mean of the sources, by weight"), text(_scientific(mean)), text(percent_of(1.0))))
     made = (
         ("unsharpened", "blend before the unsharp mask"),
         ("blend", "blend"),
@@ -119,7 +127,7 @@ def sharpness_section(shown: AvatarShown) -> Html:
     ]
     caption = (
         "Variance of the Laplacian of luma inside the mask, mean over expressions, and as a share of the sources' "
-        f"mean. The unsharp mask has the amount {shown.sharpen:.2f}."
+        f"mean by weight. The unsharp mask has the amount {shown.sharpen:.2f}."
     )
     return section(
         "sharpness", "Sharpness", table(caption, ("Picture", "variance", "share"), rows, class_="few")

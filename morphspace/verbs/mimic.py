@@ -6,7 +6,7 @@ frames that drove them, in a video and on a page.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
@@ -44,7 +44,16 @@ from morphspace.verbs.mimic_sources import (
     ready_model,
     training_driver,
 )
-from morphspace.verbs.mimic_table import BEYOND, NO_FACE, FrameMade, quality_columns, write_quality
+from morphspace.verbs.mimic_table import (
+    BEYOND,
+    FLAGS,
+    FOLDS,
+    NO_FACE,
+    TURNED,
+    FrameMade,
+    quality_columns,
+    write_quality,
+)
 from morphspace.verbs.outcome import Outcome, check_folder, picture_names, versions, write_record
 from morphspace.verbs.render import CLIPPED_SHARE
 
@@ -170,7 +179,7 @@ def _steps(
     inputs = {"source": source.digest, "target": target.digest, **driver.inputs}
     written.append(write_record(folder, "mimic", settings, inputs, written))
     work.remove()
-    return _outcome(folder, source.model, target.model, columns, tuple(notes), tuple(written))
+    return _outcome(folder, source.model, target.model, settings, columns, tuple(notes), tuple(written))
 
 
 def _method(request: MimicRequest, source: MorphModel, target: MorphModel) -> tuple[Method, tuple[str, ...]]:
@@ -316,19 +325,20 @@ def _outcome(
     folder: Path,
     source: MorphModel,
     target: MorphModel,
+    settings: Mapping[str, Any],
     columns: dict[str, list[Any]],
     notes: tuple[str, ...],
     written: tuple[Path, ...],
 ) -> Outcome:
     flags = columns["flags"]
     flagged = sum(bool(words) for words in flags)
-    no_face = sum(NO_FACE in words.split() for words in flags)
+    counts = {flag: sum(flag in words.split() for words in flags) for flag in FLAGS}
     warp_kept, missing, agreement = (
         float(np.median(columns[name])) for name in ("warp_kept", "missing_motion", "colour_agreement")
     )
     lines = (
-        f"{folder}: {target.identity} shows {len(flags)} frames of {source.identity}; of the motion "
-        f"{max(warp_kept, 0):.0%} is kept (median), {flagged} frames are flagged",
+        f"{folder}: {target.identity} shows {len(flags)} frames of {source.identity} by {settings['method']}, "
+        f"gain {settings['gain']:.3g}; of the motion {max(warp_kept, 0):.0%} is kept (median), {flagged} frames are flagged",
         f"page: {folder / 'index.html'}",
     )
     document = {
@@ -336,8 +346,11 @@ def _outcome(
         "page": str(folder / "index.html"),
         "frames": len(flags),
         "flagged": flagged,
-        "no_face": no_face,
-        "out_of_range": sum(BEYOND in words.split() for words in flags),
+        "no_face": counts[NO_FACE],
+        "out_of_range": counts[BEYOND],
+        "turned": counts[TURNED],
+        "folds": counts[FOLDS],
+        **{name: settings[name] for name in ("method", "gain", "max_sd", "neutral")},
         "warp_kept_median": warp_kept,
         "missing_motion_median": missing,
         "colour_agreement_median": agreement,

@@ -115,8 +115,8 @@ def _kept_words(target: MorphModel, made: Sequence[FrameMade], gain: float) -> t
         return ()
     return (
         f"{target.identity} shows only {max(kept, 0):.0%} of the motion's energy (median over frames): its frames hold "
-        "little like it. Build its model from frames with more and stronger expressions, check the keypoints of both "
-        "models, or raise --gain",
+        "little like it. Build its model from frames with more and stronger expressions, or check the keypoints "
+        "of both models",
     )
 
 

@@ -22,7 +22,7 @@ VERSION = 1
 # target that holds one single smile, asked for the frames of a face that opens its mouth wide: three of four above it.
 OUT_OF_RANGE = 0.10
 FOLDED = 0.005  # of the cells inside the mask; a good result stays below
-NO_FACE, TURNED, BEYOND, FOLDS = "no-face", "turned", "out-of-range", "folds"
+FLAGS = NO_FACE, TURNED, BEYOND, FOLDS = "no-face", "turned", "out-of-range", "folds"
 
 COLUMNS: dict[str, tuple[str, str]] = {
     "frame": ("", "the driving frame; its picture is frames/NAME.png"),

@@ -10,8 +10,10 @@ import importlib.metadata
 import os
 import platform
 import re
+import tempfile
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -43,19 +45,23 @@ class Outcome:
     written: tuple[Path, ...] = ()
 
 
+@cache
+def _versions() -> tuple[tuple[str, str], ...]:
+    found = {name: importlib.metadata.version(name) for name in COMPUTING_PACKAGES}
+    return (("morphspace", __version__), ("python", platform.python_version()), *found.items())
+
+
 def versions() -> dict[str, str]:
     """Give the versions of morphspace, Python and every package that computes."""
-    found = {name: importlib.metadata.version(name) for name in COMPUTING_PACKAGES}
-    return {"morphspace": __version__, "python": platform.python_version(), **found}
+    return dict(_versions())
 
 
 def check_folder(folder: Path) -> None:
     """Make the output folder, or raise `UnwritableFile` before any work is done."""
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        probe = folder / ".morphspace-probe"
-        probe.touch()
-        probe.unlink()
+        with tempfile.NamedTemporaryFile(prefix=".morphspace-", dir=folder):  # of this process alone
+            pass
     except OSError as error:
         raise UnwritableFile(
             f"cannot write into {folder}: {error.strerror}; choose another output folder"
