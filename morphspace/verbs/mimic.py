@@ -338,7 +338,8 @@ def _outcome(
     )
     lines = (
         f"{folder}: {target.identity} shows {len(flags)} frames of {source.identity} by {settings['method']}, "
-        f"gain {settings['gain']:.3g}; of the motion {max(warp_kept, 0):.0%} is kept (median), {flagged} frames are flagged",
+        f"gain {settings['gain']:.3g}; of the motion {max(warp_kept, 0):.0%} is kept (median), {flagged} frames are "
+        "flagged",
         f"page: {folder / 'index.html'}",
     )
     document = {
