@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields
 from pathlib import Path
 
@@ -86,8 +86,7 @@ def avatar_drawn(work: Path) -> None:
             "nearer source": [truth.source(expression) for _, expression in shown],
             "control": [truth.nudged(expression) for _, expression in shown],
         }
-        for name, made in pictures.items():
-            found = _measured(truth, [expression for _, expression in shown], made)
+        for name, found in _measured(truth, [expression for _, expression in shown], pictures).items():
             if name == "control":
                 found = found.against(truth)
             rows.append([f"{share:g}, {1 - share:.1f}", name, *found.cells(is_goal=name == "blend")])
@@ -149,8 +148,7 @@ class Found:
     """What was measured of n pictures with m keypoints and p amounts.
 
     `raw`, `placed` (n, m, 2) px off, before and after the similarity | `amounts` (n, p) off | `ranges` (p,) asked |
-    `way` from
-    the second actor to the first, and where the drawn answer is, `drawn`.
+    `way` from the second actor to the first, and where the drawn answer is, `drawn`.
     """
 
     raw: AnyArray
@@ -212,29 +210,38 @@ def _model(folder: Path, identity: Identity, performance: list[Expression]) -> M
     return build_model(folder, components=COMPONENTS, identity=folder.name, flow="fast")
 
 
-def _measured(truth: Truth, asked: Sequence[Expression], made: Sequence[Image]) -> Found:
-    raw, placed, amounts, offsets, ways = [], [], [], [], []
-    for expression, picture in zip(asked, made, strict=True):
+def _measured(
+    truth: Truth, asked: Sequence[Expression], made: Mapping[str, Sequence[Image]]
+) -> dict[str, Found]:
+    """Measure what was made of the expressions, each kind by its name."""
+    parts: dict[str, list[tuple[AnyArray, ...]]] = {name: [] for name in made}
+    for place, expression in enumerate(asked):
         right = truth.answer.draw(expression)
-        flow = named(FLOW)(_stored(right.image))(np.clip(picture, 0, 1), None).displacement
-        there = warp.move_points(flow, right.keypoints)
-        raw.append(there - right.keypoints)
-        placed.append(_placed(there, right.keypoints) - right.keypoints)
-        ends = [_placed(actor.draw(expression).keypoints, right.keypoints) for actor in truth.actors]
-        ways.append(ends[0] - ends[1])
-        offsets.append(right.keypoints + placed[-1] - ends[1])
-        amounts.append(_amounts_off(truth.answer, right, flow))
+        points = right.keypoints
+        read = _amounts_reader(truth.answer, right)
+        find = named(FLOW)(_stored(right.image))
+        ends = [_placed(actor.draw(expression).keypoints, points) for actor in truth.actors]
+        for name, pictures in made.items():
+            flow = find(np.clip(pictures[place], 0, 1), None).displacement
+            there = warp.move_points(flow, points)
+            placed = _placed(there, points) - points
+            parts[name].append((there - points, placed, read(flow), points - ends[1], ends[0] - ends[1]))
     ranges = np.ptp([_amounts(expression) for expression in asked], axis=0)
-    unit = np.array(ways) / (np.array(ways) ** 2).sum()
-    way, drawn = (float((offset * unit).sum()) for offset in (np.array(offsets), np.array(offsets) - placed))
-    return Found(np.array(raw), np.array(placed), np.array(amounts), ranges, way, drawn)
+    found = {}
+    for name, rows in parts.items():
+        raw, placed, amounts, offsets, ways = (np.array(part) for part in zip(*rows, strict=True))
+        unit = ways / (ways**2).sum()
+        drawn = float((offsets * unit).sum())
+        found[name] = Found(raw, placed, amounts, ranges, drawn + float((placed * unit).sum()), drawn)
+    return found
 
 
-def _amounts_off(actor: Actor, right: ActorFrame, flow: Displacement) -> AnyArray:
-    """Give the changes of the amounts (p,) that explain a flow (h, w, 2) from a drawing, beside a similarity.
+def _amounts_reader(actor: Actor, right: ActorFrame) -> Callable[[Displacement], AnyArray]:
+    """Give the function from a flow (h, w, 2) off a drawing to the changes (p,) of its amounts that explain it.
 
-    The derivative of each point's place is taken from drawings with one amount changed. Points count by their texture;
-    those of the neutral face that are hidden in the drawing, or in one with a changed amount, do not.
+    A similarity is allowed beside them. The derivative of each point's place is taken from drawings with one amount
+    changed. Points count by their texture; those of the neutral face that are hidden in the drawing, or in one with a
+    changed amount, do not.
     """
     asked = _amounts(right.expression)
     columns, seen = [], right.visibility > 0
@@ -248,7 +255,6 @@ def _amounts_off(actor: Actor, right: ActorFrame, flow: Displacement) -> AnyArra
     height, width = seen.shape
     seen &= face_mask(height, width, FaceFrame(*map(tuple, right.faceframe))) > 0.5
     rows, across = np.nonzero(seen)
-    off = warp.sample_field(flow, right.displacement)[rows, across]
     x, y = across - width / 2, rows - height / 2
     turn, grow = np.stack([-y, x], axis=-1) / width, np.stack([x, y], axis=-1) / width
     ones, none = np.ones(len(x)), np.zeros(len(x))
@@ -258,7 +264,12 @@ def _amounts_off(actor: Actor, right: ActorFrame, flow: Displacement) -> AnyArra
     weighted = design * warp.sample_field(textured, right.displacement)[rows, across].reshape(-1, 1)
     gram = weighted.T @ design
     gram[np.diag_indices(len(asked))] += (PRIOR[1] / PRIOR[0]) ** 2
-    return np.asarray(np.linalg.solve(gram, weighted.T @ off.reshape(-1))[: len(asked)])
+
+    def read(flow: Displacement) -> AnyArray:
+        off = warp.sample_field(flow, right.displacement)[rows, across].reshape(-1)
+        return np.asarray(np.linalg.solve(gram, weighted.T @ off)[: len(asked)])
+
+    return read
 
 
 def _textured(image: Image) -> Mask:
