@@ -15,6 +15,7 @@ from morphspace.detection import fetch
 from morphspace.detection.models import ORIGIN, ModelFile, Origin, models_folder, models_present, state_of
 from morphspace.errors import BadInput, UnreadableFile, UnwritableFile
 from morphspace.progress import result_of
+from morphspace.verbs import outcome
 from morphspace.verbs.fetch_models import FetchModelsRequest, ListModelsRequest, run, run_list
 
 CONTENTS = {"a.tflite": b"first network" * 50, "b.tflite": b"second network" * 70}
@@ -193,11 +194,13 @@ def test_a_folder_that_cannot_be_written_is_said_before_anything_is_fetched(orig
 
 
 def test_a_read_only_folder_is_said(wheel, origin, tmp_path, monkeypatch):
-    def refuse(self, *args, **options):
+    def refuse(*args, **options):
         raise PermissionError(13, "Permission denied")
 
     (tmp_path / "to").mkdir()
-    monkeypatch.setattr(Path, "touch", refuse)  # root may write anywhere, so the mode alone proves nothing
+    monkeypatch.setattr(
+        outcome.tempfile, "NamedTemporaryFile", refuse
+    )  # root may write anywhere, so the mode alone proves nothing
     with pytest.raises(UnwritableFile, match="Permission denied"):
         fetched(wheel, tmp_path / "to", origin)
 

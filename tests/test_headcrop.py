@@ -89,5 +89,5 @@ def test_without_the_detectors_files_a_build_says_in_one_line_how_to_get_better(
     (note,) = notes
     assert "morphspace models fetch" in note and "\n" not in note
     assert finder_for("none") == (None, ())
-    with pytest.raises(BadInput, match=r"landmarks called 'yes'.*auto, none"):
+    with pytest.raises(BadInput, match=r"landmarks called 'yes'.*auto, anchor, none"):
         finder_for("yes")
