@@ -29,6 +29,7 @@ from morphspace.landmarks import LANDMARKS, LandmarkRegression, landmark_places
 from morphspace.model import Loadings
 from morphspace.morph import Morph
 from morphspace.progress import result_of
+from morphspace.verbs.outcome import remove_work
 
 FACEFRAME = FaceFrame((20.0, 30.0), (44.0, 30.0), (32.0, 50.0))
 ELSEWHERE = FaceFrame((18.0, 28.0), (44.0, 29.0), (31.0, 51.0))
@@ -405,3 +406,16 @@ def test_an_output_that_is_an_input_is_refused(saved):
         main, ["blend-avatar", str(saved["anna"]), str(saved["ben"]), "-o", str(saved["ben"])]
     )
     assert ran.exit_code == 2 and "would be lost" in ran.output
+
+
+def test_what_is_not_ours_stays_in_a_work_folder(tmp_path):
+    folder = tmp_path / "a.morph.work"
+    (folder / "builds").mkdir(parents=True)
+    for name in ("0257b168fb99e58c2356d7f2479b9f33.frame", "builds/0257b168fb99e58c.blend", "morphs-x.rows"):
+        (folder / name).touch()
+    (folder / "notes.txt").write_text("mine")
+    remove_work(folder)
+    assert [path.name for path in folder.rglob("*")] == ["notes.txt"]
+    (folder / "notes.txt").unlink()
+    remove_work(folder)
+    assert not folder.exists()

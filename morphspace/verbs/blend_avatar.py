@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import shutil
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -22,7 +21,7 @@ from morphspace.report.avatar_distances import mean_face_distances
 from morphspace.report.avatar_page import AvatarShown, ExpressionRow, avatar_page, rows_shown
 from morphspace.storage import digest_of_file, write_text
 from morphspace.verbs.finding import finder_for
-from morphspace.verbs.outcome import Outcome, check_file, check_folder, versions
+from morphspace.verbs.outcome import Outcome, check_file, check_folder, remove_work, versions
 
 IDENTITY = "avatar"
 SUFFIX = ".morph"
@@ -58,6 +57,10 @@ class BlendAvatarRequest:
 def run(request: BlendAvatarRequest) -> Steps[Outcome]:
     """Blend, build, and write the model and its page. Returns an `Outcome`."""
     paths = [Path(given) for given in request.models]
+    if not request.output.name:
+        raise BadInput(
+            f"the output {request.output} is a folder: give a file to write, such as avatar{SUFFIX}"
+        )
     report = request.report or request.output.with_suffix(".html")
     check_file(request.output, SUFFIX, paths)
     check_file(report, ".html", paths)
@@ -111,7 +114,7 @@ def work_folder_of(asked: Path | None, output: Path) -> Iterator[Path]:
             folder.rmdir()
         raise
     if asked is None:
-        shutil.rmtree(folder)
+        remove_work(folder)
 
 
 def _shown(avatar: Avatar, models: Sequence[MorphModel], request: BlendAvatarRequest) -> Steps[AvatarShown]:

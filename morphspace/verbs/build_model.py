@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import shutil
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -28,7 +27,7 @@ from morphspace.progress import Steps, result_of
 from morphspace.report import Case, advice_for, measure_frames, write_report
 from morphspace.storage import digest_of_array
 from morphspace.verbs.finding import Landmarks, crop_steps, finder_for
-from morphspace.verbs.outcome import Outcome, check_file, check_folder, versions
+from morphspace.verbs.outcome import Outcome, check_file, check_folder, remove_work, versions
 from morphspace.warp import apply_affine, inverse_affine
 
 DEFAULT_SIDE_PX = 400  # frames larger than this are scaled to cover 200 x 240 unless a size is given
@@ -139,7 +138,7 @@ def _work_folder(asked: Path | None, output: Path) -> Iterator[Path]:
             folder.rmdir()
         raise
     if asked is None:
-        shutil.rmtree(folder)
+        remove_work(folder)
 
 
 def build_clip(

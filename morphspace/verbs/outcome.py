@@ -6,6 +6,7 @@ what went in and of what came out, and the versions of everything that computed.
 
 from __future__ import annotations
 
+import contextlib
 import importlib.metadata
 import os
 import platform
@@ -23,6 +24,7 @@ from morphspace.storage import digest_of_file, json_text, write_text
 
 RECORD_NAME = "record.json"
 LONGEST_NAME_BYTES = 200  # of the 255 a file system takes; a record and unfinished files have longer names
+WORK_FILE = re.compile(r"[0-9a-f]{16,64}\.(frame|points|blend)|morphs-.*\.rows")
 FOLDER_MARKS = re.compile(r"[/\\]")
 LONGEST_NAME = 200  # bytes; file systems allow 255, and a temporary name is longer
 COMPUTING_PACKAGES = (
@@ -66,6 +68,17 @@ def check_folder(folder: Path) -> None:
         raise UnwritableFile(
             f"cannot write into {folder}: {error.strerror}; choose another output folder"
         ) from error
+
+
+def remove_work(folder: Path) -> None:
+    """Remove what a build keeps in its work folder, and the folder if nothing else is in it: files of people stay."""
+    for path in sorted(folder.iterdir()):
+        if path.is_dir() and not path.is_symlink():
+            remove_work(path)
+        elif WORK_FILE.fullmatch(path.name):
+            path.unlink()
+    with contextlib.suppress(OSError):  # something is left
+        folder.rmdir()
 
 
 def picture_names(names: Sequence[str]) -> tuple[str, ...]:
