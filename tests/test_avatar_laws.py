@@ -19,6 +19,8 @@ from morphspace.synthetic import Expression, Identity
 from morphspace.synthetic.drawn import drawn_actor
 from morphspace.verbs.build_model import build_model
 
+pytestmark = pytest.mark.slow  # they build models
+
 SIZE = (100, 120)
 FRAMES = 9
 SEEDS = {"anna": 4, "ben": 9}

@@ -24,6 +24,8 @@ from morphspace.synthetic import Expression, Identity
 from morphspace.synthetic.drawn import drawn_actor
 from morphspace.verbs.build_model import build_model
 
+pytestmark = pytest.mark.slow  # they build models
+
 SIZE = (100, 120)
 FRAMES = 10
 COMPONENTS = 6
