@@ -30,7 +30,7 @@ from morphspace.progress import Step, Steps, in_order
 from morphspace.storage import digest_of_array, digest_of_json, read_container, write_container
 
 FRAME_FORMAT = "morphspace-work-frame-2"
-FLOW_VERSION = 6  # raise it when any flow method gives another field: kept frames are then made again
+FLOW_VERSION = 7  # raise it when any flow method gives another field: kept frames are then made again
 KEY_DIGITS = 32  # of the digest in a file's name
 
 FrameStart = Literal["coarse to fine", "neighbour"]
@@ -119,7 +119,7 @@ def _first_pass(
         _file(work_folder, [*common, digest, *([] if movement is None else [digest_of_array(movement)])])
         for digest, movement in zip(source.digests, movements, strict=True)
     ]
-    missing = [index for index, file in enumerate(files) if not _is_whole(file)]
+    missing = [index for index, file in enumerate(files) if not is_whole(file)]
 
     def make(item: tuple[int, Image]) -> None:
         index, image = item
@@ -155,7 +155,7 @@ def _second_pass(plan: FramePlan, find: FlowFunction, files: list[Path]) -> Step
     limits = [FRAME_FORMAT, "second pass", starts.FOLD_LIMIT, starts.CLEARLY]
     folder = files[0].parent
     again = {i: _file(folder, [*limits, files[i].stem, files[near].stem]) for i, near in pairs.items()}
-    missing = [index for index, file in again.items() if not _is_whole(file)]
+    missing = [index for index, file in again.items() if not is_whole(file)]
 
     def make(index: int) -> None:
         first = read_work_frame(files[index])
@@ -228,7 +228,8 @@ def _file(folder: Path, parts: list[Any]) -> Path:
     return folder / f"{digest_of_json(parts)[:KEY_DIGITS]}.frame"
 
 
-def _is_whole(file: Path) -> bool:
+def is_whole(file: Path) -> bool:
+    """Say whether a work file was written to its end."""
     try:
         read_container(file)
     except UnreadableFile:

@@ -14,7 +14,7 @@ from morphspace.flow.backends import OpenCVBackend, named_backend
 from morphspace.flow.constraints import Channels
 from morphspace.flow.filters import gaussian_derivative
 from morphspace.flow.multiscale import method
-from morphspace.flow.presets import Preset
+from morphspace.flow.presets import PRESETS, Preset
 from morphspace.synthetic.warped import astronaut_face, flow_pair
 
 CV = OpenCVBackend()
@@ -115,10 +115,11 @@ def test_resized_planes_agree_up_and_down(ours, shape):
     height, width = shape
     for down, across in ((0.8, 0.8), (0.5, 0.5), (1 / 0.7, 1 / 0.7), (1, 2), (0.3, 3)):
         size = max(1, round(height * down)), max(1, round(width * across))
-        found = ours.numpy(ours.resized(ours.planes(planes), *size))
-        assert found.shape == (2, *size)
-        # codes; OpenCV rounds the position to float32
-        assert_allclose(found, CV.resized(planes, *size), rtol=0, atol=4 * ROUNDING)
+        for rule in ("resized", "resized_linearly"):
+            found = ours.numpy(getattr(ours, rule)(ours.planes(planes), *size))
+            assert found.shape == (2, *size)
+            # codes; OpenCV rounds the position to float32
+            assert_allclose(found, getattr(CV, rule)(planes, *size), rtol=0, atol=4 * ROUNDING)
 
 
 @pytest.mark.parametrize("shape", [*SHAPES, (90, 70)])
@@ -196,6 +197,7 @@ def test_results_are_new_planes(ours):
     for results in (
         lambda b, planes: b.filtered(planes, np.ones(1), np.ones(1)),
         lambda b, planes: b.resized(planes, 9, 7),
+        lambda b, planes: b.resized_linearly(planes, 9, 7),
         lambda b, planes: b.averaged(planes, 9, 7),
         lambda b, planes: b.median(planes),
         lambda b, planes: b.smoother(planes, 0.0, 8.0)(planes),
@@ -281,6 +283,15 @@ def test_the_flow_is_the_same_on_both(ours, picture, wavy_field, shape, colours)
     reference, true = picture(*shape, seed=4), wavy_field(*shape, 3.0, seed=5)
     apart, field = apart_px(ours, preset(colours, 0), reference, warp.render(reference, true))
     assert np.hypot(*field.transpose(2, 0, 1)).max() > 1  # something did move
+    assert apart.max() < FLOW_PX
+
+
+@pytest.mark.parametrize("name", ["fast", "balanced"])
+def test_the_flow_of_a_face_is_the_same(ours, name):
+    photograph, marks = astronaut_face()
+    pair = flow_pair(photograph, marks, kind="mouth", peak_px=8.0, size=128)
+    apart, field = apart_px(ours, PRESETS[name], pair.reference, pair.frame)
+    assert np.hypot(*field.transpose(2, 0, 1)).max() > 4
     assert apart.max() < FLOW_PX
 
 

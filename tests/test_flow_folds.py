@@ -1,5 +1,6 @@
 """Laws of unfolding: no cell is turned over, what was in order stays, and what lies far from a fold is not touched."""
 
+import cv2
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -7,7 +8,13 @@ from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
 
 from morphspace import warp
-from morphspace.flow.folds import FIRST_SD_PX, LEAST_DETERMINANT, REACH_SD, unfolded
+from morphspace.flow.folds import (
+    FIRST_SD_PX,
+    LEAST_DETERMINANT,
+    REACH_SD,
+    suspects_when_enlarged,
+    unfolded,
+)
 from morphspace.flow.methods import METHODS
 from morphspace.synthetic.warped import astronaut_face, flow_pair
 
@@ -26,6 +33,52 @@ def test_a_field_without_folds_comes_back_as_it_is(wavy_field, seed):
     before = field.copy()
     assert unfolded(field) is field
     assert_array_equal(field, before)
+
+
+@settings(max_examples=150, deadline=None, derandomize=True)
+@given(
+    st.integers(9, 60),
+    st.integers(9, 60),
+    st.floats(1.03, 4),
+    st.floats(0.5, 4),
+    st.floats(0.1, 8),
+    st.integers(0, 10**6),
+)
+def test_an_enlarged_field_folds_among_the_suspects_alone(
+    wavy_field, height, width, ratio, sd_px, amplitude_px, seed
+):
+    field = np.ascontiguousarray(
+        wavy_field(height, width, amplitude_px, seed=seed, sd_px=sd_px).transpose(2, 0, 1)
+    )
+    tall, wide = round(height * ratio), round(width * ratio)
+    large = np.stack(
+        [
+            cv2.resize(field[0], (wide, tall), interpolation=cv2.INTER_LINEAR) * (wide / width),
+            cv2.resize(field[1], (wide, tall), interpolation=cv2.INTER_LINEAR) * (tall / height),
+        ],
+        axis=-1,
+    ).astype(np.float32)
+    suspects = suspects_when_enlarged(field, tall, wide)
+    determinants = warp.determinants(large)
+    if suspects is None:
+        assert unfolded(large) is large
+    else:
+        assert_array_equal(unfolded(large, suspects), unfolded(large))
+        suspects.cells().of(determinants)[...] = 1
+    assert determinants.min() >= LEAST_DETERMINANT - 1e-4
+
+
+def test_a_gentle_field_has_no_suspects_and_a_torn_one_few(wavy_field):
+    gentle = wavy_field(60, 50, 3.0, seed=1, sd_px=12.0).transpose(2, 0, 1)
+    assert suspects_when_enlarged(np.ascontiguousarray(gentle), 120, 100) is None
+    field = np.zeros((2, 60, 50), np.float32)
+    field[0, 20:24, 25], field[0, 20:24, 24] = -4, 4
+    box = suspects_when_enlarged(field, 120, 100)
+    assert box is not None
+    assert box.top >= 30
+    assert box.bottom <= 58
+    assert box.left >= 36
+    assert box.right <= 64
 
 
 @settings(max_examples=60, deadline=None, derandomize=True)

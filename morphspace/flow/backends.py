@@ -48,6 +48,10 @@ class Backend(Protocol):
         """Bring a numpy array to the backend as float32."""
         ...
 
+    def zeros(self, *shape: int) -> Planes:
+        """Give planes of nothing."""
+        ...
+
     def numpy(self, planes: Planes) -> AnyArray:
         """Bring planes back."""
         ...
@@ -70,6 +74,10 @@ class Backend(Protocol):
 
     def resized(self, planes: Planes, height: int, width: int) -> Planes:
         """Scale the planes bicubically; smooth before scaling down."""
+        ...
+
+    def resized_linearly(self, planes: Planes, height: int, width: int) -> Planes:
+        """Scale the planes bilinearly: for fields, in which nothing may overshoot."""
         ...
 
     def averaged(self, planes: Planes, height: int, width: int) -> Planes:
@@ -133,6 +141,9 @@ class OpenCVBackend:
     def planes(self, array: AnyArray) -> AnyArray:
         return np.ascontiguousarray(array, np.float32)
 
+    def zeros(self, *shape: int) -> AnyArray:
+        return np.zeros(shape, np.float32)
+
     def numpy(self, planes: AnyArray) -> AnyArray:
         return planes
 
@@ -162,16 +173,13 @@ class OpenCVBackend:
         return out
 
     def resized(self, planes: AnyArray, height: int, width: int) -> AnyArray:
-        out = np.empty((len(planes), height, width), np.float32)
-        for plane, target in zip(planes, out, strict=True):
-            cv2.resize(plane, (width, height), dst=target, interpolation=cv2.INTER_CUBIC)
-        return out
+        return _resized(planes, height, width, cv2.INTER_CUBIC)
+
+    def resized_linearly(self, planes: AnyArray, height: int, width: int) -> AnyArray:
+        return _resized(planes, height, width, cv2.INTER_LINEAR)
 
     def averaged(self, planes: AnyArray, height: int, width: int) -> AnyArray:
-        out = np.empty((len(planes), height, width), np.float32)
-        for plane, target in zip(planes, out, strict=True):
-            cv2.resize(plane, (width, height), dst=target, interpolation=cv2.INTER_AREA)
-        return out
+        return _resized(planes, height, width, cv2.INTER_AREA)
 
     def median(self, planes: AnyArray) -> AnyArray:
         out = np.empty_like(planes)
@@ -221,6 +229,13 @@ def _keep_freed_memory() -> None:
         tune = ctypes.CDLL(None).mallopt
         tune(M_MMAP_THRESHOLD, LARGEST_KEPT_BYTES)
         tune(M_TRIM_THRESHOLD, KEPT_BYTES)
+
+
+def _resized(planes: AnyArray, height: int, width: int, interpolation: int) -> AnyArray:
+    out = np.empty((len(planes), height, width), np.float32)
+    for plane, target in zip(planes, out, strict=True):
+        cv2.resize(plane, (width, height), dst=target, interpolation=interpolation)
+    return out
 
 
 def _guide_picture(guide: AnyArray) -> AnyArray:

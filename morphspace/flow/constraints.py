@@ -132,9 +132,8 @@ def tensor(
 
     `shape` (c, h, w). The colours of a channel share one normalisation, so a colour without contrast adds no noise.
     """
-    xp = backend.xp
     _, height, width = shape
-    total = xp.stack([xp.zeros_like(frame[0, 0])] * 6)
+    total = backend.zeros(6, height, width)
     change, agreement = None, 0.0
     if channels.weights[0] > 0:
         change, agreement = _light_apart(backend, frame[0] - reference[0], channels.light_codes / 2)

@@ -6,7 +6,8 @@ picture can tell where such points went; what a morph needs of them is that they
 
 from __future__ import annotations
 
-from math import ceil
+from math import ceil, floor
+from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -21,12 +22,65 @@ GENTLE = 0.47  # px from one pixel to the next; 1 - 2 x this is above `LEAST_DET
 BAND_PX = 16  # rows that are looked at together for steps that are not
 FIRST_SD_PX = 1.0
 GROWTH = 1.3  # of the smoothing from round to round
+NEAR = np.ones((3, 3), np.uint8)  # a cell and those to the right of it and below
 ROUNDS = 14  # the last smooths over 30 px: nothing an estimator makes outlasts it
 REACH_SD = 2.0  # of the smoothed neighbourhood around a folded cell
 BLURS_SD = 8.0  # two of OpenCV's Gaussians, one after the other, end there
 
 
-def _steep_rows(field: Displacement) -> slice:
+class Box(NamedTuple):
+    """Pixels from `top` to before `bottom`, and from `left` to before `right`."""
+
+    top: int
+    bottom: int
+    left: int
+    right: int
+
+    def of(self, grid: AnyArray) -> AnyArray:
+        """Give a view of this part of a grid (h, w, ...)."""
+        return grid[self.top : self.bottom, self.left : self.right]
+
+    def cells(self) -> Box:
+        """Give the cells between these pixels, each named by its upper left one."""
+        return Box(self.top, self.bottom - 1, self.left, self.right - 1)
+
+
+def suspects_when_enlarged(field: AnyArray, height: int, width: int) -> Box | None:
+    """Give the pixels outside which a field (2, h, w) px cannot fold once it is enlarged bilinearly to a size.
+
+    None where it cannot fold at all. A step of the enlarged grid is a mean of the steps, of the same kind, of at most
+    2 x 3 cells of the field it came from, so its determinant is no less than what the worst of these could make.
+    """
+    old_height, old_width = field.shape[1:]
+    x, y = (
+        cv2.copyMakeBorder(plane, 1, 1, 1, 1, cv2.BORDER_REPLICATE) for plane in field
+    )  # at rest beyond the edge
+    across = _least(x[:, 1:] - x[:, :-1]) + 1, _most(y[:, 1:] - y[:, :-1])
+    down = _least(y[1:] - y[:-1]) + 1, _most(x[1:] - x[:-1])
+    kept = np.maximum(across[0][:-1], 0)
+    kept *= np.maximum(down[0][:, :-1], 0)
+    kept -= across[1][:-1] * down[1][:, :-1]
+    left, top, columns, rows = cv2.boundingRect((kept < LEAST_DETERMINANT).astype(np.uint8))
+    if not rows:
+        return None
+    tall, wide = height / old_height, width / old_width
+    return Box(
+        max(floor((top - 0.5) * tall - 0.5) - 1, 0),
+        min(ceil((top + rows + 0.5) * tall - 0.5) + 2, height),
+        max(floor((left - 0.5) * wide - 0.5) - 1, 0),
+        min(ceil((left + columns + 0.5) * wide - 0.5) + 2, width),
+    )
+
+
+def _least(steps: AnyArray) -> AnyArray:
+    return cv2.erode(steps, NEAR, anchor=(0, 0))
+
+
+def _most(steps: AnyArray) -> AnyArray:
+    return cv2.dilate(np.abs(steps), NEAR, anchor=(0, 0))
+
+
+def _steep(field: Displacement) -> Box:
     """Give the rows outside which no cell can fold: its determinant is 1 - 2 m or more where no step exceeds m px."""
     rows = len(field)
     steep = [
@@ -34,7 +88,7 @@ def _steep_rows(field: Displacement) -> slice:
         for top in range(0, rows - 1, BAND_PX)
         if max(_largest_step(field[top : top + BAND_PX + 1])) >= GENTLE  # the row below is the cells' too
     ]
-    return slice(steep[0], min(steep[-1] + BAND_PX + 1, rows)) if steep else slice(0, 0)
+    return Box(steep[0], min(steep[-1] + BAND_PX + 1, rows), 0, field.shape[1]) if steep else Box(0, 0, 0, 0)
 
 
 def _largest_step(field: Displacement) -> tuple[float, float]:
@@ -45,28 +99,30 @@ def _largest_step(field: Displacement) -> tuple[float, float]:
     )
 
 
-def unfolded(field: Displacement) -> Displacement:
+def unfolded(field: Displacement, suspects: Box | None = None) -> Displacement:
     """Give the field (h, w, 2) px with its folds smoothed away, unchanged elsewhere.
+
+    Folds are sought among the `suspects`, where given; see `suspects_when_enlarged`.
 
     Each round smooths the field by a wider Gaussian around the cells whose determinant is below
     `LEAST_DETERMINANT`. A field without folds comes back as it is, the same array. After `ROUNDS` rounds what still
     folds is left: a tear of some 400 px would be.
     """
-    rows = _steep_rows(field)
-    steep = warp.determinants(field[rows]) < LEAST_DETERMINANT if rows.stop else np.zeros((0, 0), bool)
-    if not steep.any():
+    box = suspects or _steep(field)
+    pressed = warp.determinants(box.of(field)) < LEAST_DETERMINANT if box.bottom else np.zeros((0, 0), bool)
+    if not pressed.any():
         return field
     folded = np.zeros((field.shape[0] - 1, field.shape[1] - 1), bool)
-    folded[rows.start : rows.stop - 1] = steep
+    box.cells().of(folded)[...] = pressed
     out = field.copy()
     sd_px = FIRST_SD_PX
     for _ in range(ROUNDS):
         if not folded.any():
             break
         reach = 2 * round(REACH_SD * sd_px) + 1
-        top, bottom, left, right = _box(folded, reach + ceil(BLURS_SD * sd_px))
-        part = out[top:bottom, left:right]
-        cells = folded[top : bottom - 1, left : right - 1]
+        near_folds = _box(folded, reach + ceil(BLURS_SD * sd_px))
+        part = near_folds.of(out)
+        cells = near_folds.cells().of(folded)
         corners = cv2.copyMakeBorder(cells.astype(np.float32), 0, 1, 0, 1, cv2.BORDER_CONSTANT, value=0)
         touched = cv2.dilate(corners, np.ones((2, 2), np.uint8))  # all four of a cell
         near = cv2.dilate(touched, np.ones((reach, reach), np.uint8))
@@ -78,11 +134,11 @@ def unfolded(field: Displacement) -> Displacement:
     return out
 
 
-def _box(cells: AnyArray, margin: int) -> tuple[int, int, int, int]:
-    """Give the pixels around the true cells (h - 1, w - 1), `margin` more on each side: top, bottom, left, right."""
+def _box(cells: AnyArray, margin: int) -> Box:
+    """Give the pixels around the true cells (h - 1, w - 1), `margin` more on each side."""
     left, top, width, height = cv2.boundingRect(cells.astype(np.uint8))
     last_row, last_column = cells.shape[0] + 1, cells.shape[1] + 1
-    return (
+    return Box(
         max(top - margin, 0),
         min(top + height + 1 + margin, last_row),
         max(left - margin, 0),

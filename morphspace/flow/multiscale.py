@@ -35,7 +35,7 @@ from morphspace.flow.constraints import (
     outside,
     tensor,
 )
-from morphspace.flow.folds import unfolded
+from morphspace.flow.folds import suspects_when_enlarged, unfolded
 from morphspace.flow.pairs import checked_frame, checked_picture, checked_start, unknown_flow
 from morphspace.flow.presets import Preset
 
@@ -82,14 +82,24 @@ def method(preset: Preset, backend: Backend | None = None) -> FlowMethod:
 
 
 def matcher(reference: Image, preset: Preset, backend: Backend) -> FlowFunction:
-    """Prepare a reference (h, w, 3), and give the function that finds frames from it."""
+    """Prepare a reference (h, w, 3), and give the function that finds frames from it.
+
+    Its pyramid is OpenCV's with every backend: smoothers round their guides to whole codes, and what two backends give
+    a little differently would now and then be rounded to different ones.
+    """
     reference = checked_picture(reference, "the reference")
     height, width = reference.shape[:2]
-    planes = _colour_planes(reference, preset, backend)
+    common = OpenCVBackend()
+    planes = _colour_planes(reference, preset, common)
     empty = _is_flat(planes)
-    scales, centre = _pyramid(planes, preset, backend)
+    scales, centre = _pyramid(planes, preset, common)
     levels = [
-        _reference_level(scaled, preset, backend, _smoother(scaled + centre, preset, backend))
+        _reference_level(
+            backend.planes(scaled),
+            preset,
+            backend,
+            _smoother(backend.planes(scaled + centre), preset, backend),
+        )
         for scaled in scales
     ]
 
@@ -103,9 +113,14 @@ def matcher(reference: Image, preset: Preset, backend: Backend) -> FlowFunction:
             None if start is None else backend.planes(checked_start(start, height, width).transpose(2, 0, 1))
         )
         field, confidence = _matched(levels, target, preset, backend, given)
-        field = _resized_field(field, height, width, backend)
-        confidence = backend.resized(confidence[None], height, width)
-        displacement = unfolded(cv2.merge(tuple(backend.numpy(field))))
+        found = backend.numpy(field)
+        if found.shape[1:] == (height, width):
+            displacement = unfolded(cv2.merge(tuple(found)))
+        else:
+            suspects = suspects_when_enlarged(found, height, width)
+            displacement = cv2.merge(tuple(backend.numpy(_resized_field(field, height, width, backend))))
+            displacement = unfolded(displacement, suspects) if suspects else displacement
+        confidence = backend.resized_linearly(confidence[None], height, width)
         return Flow(displacement, np.clip(backend.numpy(confidence)[0], 0, 1))
 
     return to_frame
@@ -202,7 +217,7 @@ def _matched(
     confidence = alike()
     if trust is not None:
         height, width = field.shape[1:]
-        confidence = confidence * backend.resized(trust[None], height, width)[0]
+        confidence = confidence * backend.resized_linearly(trust[None], height, width)[0]
     return field, confidence
 
 
@@ -258,7 +273,7 @@ def _resized_field(field: Planes, height: int, width: int, backend: Backend) -> 
     old_height, old_width = field.shape[1:]
     if (old_height, old_width) == (height, width):
         return field
-    field = backend.resized(field, height, width)
+    field = backend.resized_linearly(field, height, width)
     field[0] *= width / old_width
     field[1] *= height / old_height
     return field
@@ -277,11 +292,11 @@ def _refined(
     """Refine a field, None for zero, at one scale; give it and the function of its likeness."""
     xp = backend.xp
     read = backend.sampler(target)
-    dual = xp.zeros_like(xp.stack([level.x, level.y]))
+    dual = None
     at_rest = field is None  # the frame is then where it is
-    if field is None:
-        field = dual
     height, width = target.shape[1:]
+    if field is None:
+        field = backend.zeros(2, height, width)
     channels = preset.coarse_channels if max(height, width) <= COARSE_PX else preset.channels
     rivalled = start is not None or max(height, width) <= preset.rivals_px
     if start is not None:
@@ -306,23 +321,29 @@ def _step(
     constraint: Tensor,
     seen: Planes,
     field: Planes,
-    dual: Planes,
+    dual: Planes | None,
     rounds: int,
     preset: Preset,
     backend: Backend,
 ) -> tuple[Planes, Planes]:
-    """Move the field to where the robust constraints and the smoothness agree."""
+    """Move the field to where the robust constraints and the smoothness agree.
+
+    A field that comes without a dual comes from a coarser scale and is smooth as it is: its first round is spared.
+    """
     moved = field
     blur = _bell(preset.integration_px) if preset.integration_px else None
     for number in range(rounds):
         weighted = _robust(constraint, seen, moved - field if number > 0 else None, preset, backend)
         if blur is not None:
             weighted = backend.filtered(weighted, blur, blur)
-        leant = moved + dual
-        smooth = _smoothed(level, leant, preset)
-        dual = leant - smooth
-        smooth -= dual
-        smooth -= field
+        if dual is None:
+            smooth = dual = backend.zeros(*field.shape)
+        else:
+            leant = moved + dual
+            smooth = _smoothed(level, leant, preset)
+            dual = leant - smooth
+            smooth -= dual
+            smooth -= field
         moved = field + _solved(weighted, smooth, preset.coupling, backend)
     return moved, dual
 

@@ -52,6 +52,9 @@ class TorchBackend:
     def planes(self, array: AnyArray) -> Planes:
         return torch.tensor(np.ascontiguousarray(array), dtype=torch.float32, device=self.device)
 
+    def zeros(self, *shape: int) -> Planes:
+        return torch.zeros(shape, dtype=torch.float32, device=self.device)
+
     def numpy(self, planes: Planes) -> AnyArray:
         out: AnyArray = planes.cpu().numpy()
         return out
@@ -93,6 +96,9 @@ class TorchBackend:
 
     def resized(self, planes: Planes, height: int, width: int) -> Planes:
         return self._rescaled(planes, height, width, "cubic")
+
+    def resized_linearly(self, planes: Planes, height: int, width: int) -> Planes:
+        return self._rescaled(planes, height, width, "linear")
 
     def averaged(self, planes: Planes, height: int, width: int) -> Planes:
         return self._rescaled(planes, height, width, "area")
@@ -235,6 +241,15 @@ def _cubic_table(old: int, new: int) -> tuple[AnyArray, AnyArray]:
     return source, weight
 
 
+def _linear_table(old: int, new: int) -> tuple[AnyArray, AnyArray]:
+    """Give the two pixels, (2, new), that each pixel of a rescaled line is made of, and their weights."""
+    position = (np.arange(new) + 0.5) * (old / new) - 0.5
+    whole = np.floor(position)
+    f = position - whole
+    source = np.clip(whole.astype(np.int64) + np.arange(2)[:, None], 0, old - 1)
+    return source, np.stack([1 - f, f])
+
+
 def _area_table(old: int, new: int) -> tuple[AnyArray, AnyArray]:
     """Give the pixels, (k, new), that each pixel of a shrunk line covers, and how much of each."""
     ratio = old / new
@@ -251,7 +266,13 @@ def _area_table(old: int, new: int) -> tuple[AnyArray, AnyArray]:
     return source, weight
 
 
-RULES = {"mirror": _mirror_table, "repeat": _repeat_table, "cubic": _cubic_table, "area": _area_table}
+RULES = {
+    "mirror": _mirror_table,
+    "repeat": _repeat_table,
+    "linear": _linear_table,
+    "cubic": _cubic_table,
+    "area": _area_table,
+}
 
 
 def _spline_taps(position: Planes, size: int) -> tuple[list[Planes], list[Planes]]:
