@@ -34,7 +34,7 @@ OPTIONS = (
         "-k",
         "--components",
         type=int,
-        help="Use only the first components [default: all].",
+        help="At most so many components, the first [default: all].",
     ),
     click.option(
         "--permutations",

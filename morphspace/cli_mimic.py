@@ -84,7 +84,11 @@ OPTIONS = (
         "frame of A nearest to B's mean.",
     ),
     click.option(
-        "-k", "--components", type=int, metavar="N", help="Use only B's first components [default: all]."
+        "-k",
+        "--components",
+        type=int,
+        metavar="N",
+        help="At most so many of B's components, the first [default: all].",
     ),
 )
 """In the order of the help."""

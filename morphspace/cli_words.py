@@ -1,11 +1,15 @@
-"""Kinds of words on the command line that click does not know: sizes, crops, a number or auto."""
+"""Kinds of words on the command line that click does not know, and options that what builds a model shares."""
 
 from __future__ import annotations
 
 import re
+from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import click
+
+from morphspace.flow.names import DEFAULT, NAMES
 
 
 class Numbers(click.ParamType):  # type: ignore[type-arg]
@@ -48,3 +52,28 @@ class WeightOrAuto(click.ParamType):  # type: ignore[type-arg]
             return float(value)
         except ValueError:
             self.fail(f"{value!r} is neither auto nor a number")
+
+
+COMPONENTS = click.option(
+    "-k",
+    "--components",
+    type=click.IntRange(1, 10_000),
+    default=50,
+    show_default=True,
+    help="The most components to keep.",
+)
+BUILD_REPORT = click.option(
+    "--report", type=click.Path(path_type=Path), help="The HTML report [default: beside the model]."
+)
+
+
+def flow_option(told: str) -> Callable[[Any], Any]:
+    """Give the option that chooses the flow estimator; `told` is its help."""
+    return click.option("--flow", type=click.Choice(NAMES), default=DEFAULT, show_default=True, help=told)
+
+
+def work_option(kept: str) -> Callable[[Any], Any]:
+    """Give the option that keeps what is finished: `kept` says what."""
+    return click.option(
+        "--work-dir", "work_folder", type=click.Path(path_type=Path), help=f"Keep finished {kept} here."
+    )

@@ -3,11 +3,11 @@
 A face of the source is a point on the source's mean face; what mimicry carries over is its difference from that mean.
 The affine between the two faceframes lays the difference on the target's mean face, and the target's components say how
 much of it the target can show. `paper` takes inner products, as published. `map` asks for the most probable face of the
-target instead, and looks only where the source has something to say. `transfer`
-listens to lids, brows and lips more than to cheeks, where it knows where they are, and keeps half of the motion that
-the target's components cannot express. `guided` does so too, and is told besides how far the source's lids and inner
-lips have moved from rest, as the landmark regressions of both models know it: a closing eye is a warp in one model and
-a colour in another, and only landmarks match the two by meaning.
+target instead, and looks only where the source has something to say. `transfer` listens to lids, brows and lips more
+than to cheeks, where it knows where they are, keeps half of the motion that the target's components cannot express, and
+mixes the colours from faces the target has shown (`texturing`). `guided` does so too, and is told besides how far the
+source's lids and inner lips have moved from rest, as the landmark regressions of both models know it: a closing eye is
+a warp in one model and a colour in another, and only landmarks match the two by meaning.
 """
 
 from __future__ import annotations
@@ -32,6 +32,7 @@ from morphspace.morph import Morph, MorphOffset, parts_of, vector_of
 from morphspace.posterior import Guide, InnerProducts, Solver, bounded
 from morphspace.recentring import Recentring
 from morphspace.reference import spread
+from morphspace.texturing import Texturing
 
 Method = Literal["paper", "map", "transfer", "guided"]
 METHODS: tuple[Method, ...] = get_args(Method)
@@ -171,6 +172,7 @@ def mimic(
     solve = _solve_of(passage, method)
     sd = target.sd
     from_rest, to_rest = _rests(source, target, origin)
+    texturing = Texturing(target) if method in WITH_REST else None
 
     def to_target(offset: MorphOffset) -> Mimicry:
         if from_rest is not None:
@@ -179,7 +181,7 @@ def mimic(
         vector = vector_of(carried.texture, carried.displacement)
         asked = gain * solve(offset, vector) + to_rest
         loadings = sd * bounded(asked / sd, max_sd)
-        shown = target.basis.expand(loadings)
+        shown = target.basis.expand(loadings) if texturing is None else texturing.offset(loadings)
         texture, displacement = parts_of(shown, *target.mask.shape)
         morph = target.mean + MorphOffset(displacement, texture, target.mean.reference_id)
         if method in WITH_REST:

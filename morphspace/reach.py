@@ -13,10 +13,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from morphspace.arrays import AnyArray
-from morphspace.keypoints import required_faceframe
+from morphspace.keypoints import affine_between_models, required_faceframe
+from morphspace.landmarks import landmark_places, ring_gaps
 from morphspace.mimic import FEATURE_WEIGHT, Mimicry, Passage, feature_weights
 from morphspace.model import MorphModel
-from morphspace.morph import MorphOffset
+from morphspace.morph import MorphOffset, vector_of
+from morphspace.posterior import InnerProducts
 
 NEAR = 0.3  # of a feature point's weight; with it some 5 % of a face's pixels lie on lids, brows and lips
 INSIDE = 0.5  # of both masks
@@ -25,16 +27,19 @@ WORST = 0.95  # quantile over those pixels: a corner of the mouth counts, a sing
 
 @dataclass(frozen=True, eq=False)
 class Reach:
-    """How far the target follows one face.
+    """How far the target follows one face, and how far beyond what it has shown it was asked.
 
     `missing_motion`: what its loadings leave of the motion asked for at lids, brows and lips, 95th percentile, in eye
     distances of the target; over the whole face where the target does not know where those are. `colour_agreement`:
     correlation, without taking means, of the change of colour asked for with the one shown, inside both masks; 0 where
-    one of them changes nothing.
+    one of them changes nothing. `opening_beyond`: how much wider the lips are asked to stand open than in any training
+    face of the target, mean over the inner lips, in its eye distances, below 0 where they are not; None where a model
+    does not know its landmarks.
     """
 
     missing_motion: float
     colour_agreement: float
+    opening_beyond: float | None = None
 
 
 ReachOf = Callable[[MorphOffset, Mimicry], Reach]
@@ -60,6 +65,7 @@ def reach_of(
     components = np.array(target.basis.components[:, columns])
     at_rest = np.zeros((len(places), 2), np.float32)
     coloured = np.zeros_like(target.mean.texture)
+    openings = openings_of(source, target)
     if rest is not None:
         at_rest = rest[1].displacement.reshape(-1, 2)[places]
         coloured = rest[1].texture
@@ -73,9 +79,55 @@ def reach_of(
         return Reach(
             float(np.quantile(lengths, WORST)) / eyes_px if len(lengths) else 0.0,
             _agreement(skin * asked.texture, skin * texture),
+            None if openings is None else openings.beyond(offset, gain, rest),
         )
 
     return reach
+
+
+@dataclass(frozen=True, eq=False)
+class Openings:
+    """How far the lips stand open, from the landmark regressions of both models, in eye distances of the target.
+
+    `asked` (k_A,) and `shown` (k_B,) per loading, the former after the affine | `most`, the widest of the target's
+    training faces. All relative to the means.
+    """
+
+    source: InnerProducts
+    target: InnerProducts
+    asked: AnyArray
+    shown: AnyArray
+    most: float
+
+    def beyond(self, offset: MorphOffset, gain: float, rest: tuple[MorphOffset, MorphOffset] | None) -> float:
+        """Give how much wider than `most` an offset of the source asks the lips to open."""
+        moved = self._opens(self.source, self.asked, offset if rest is None else offset - rest[0])
+        at_rest = 0.0 if rest is None else self._opens(self.target, self.shown, rest[1])
+        return gain * moved + at_rest - self.most
+
+    def _opens(self, products: InnerProducts, per_loading: AnyArray, offset: MorphOffset) -> float:
+        return float(products.with_offset(vector_of(offset.texture, offset.displacement)) @ per_loading)
+
+
+def openings_of(source: MorphModel, target: MorphModel) -> Openings | None:
+    """Prepare what tells how far the lips open; None where a model does not know its landmarks."""
+    if source.landmarks is None or target.landmarks is None:
+        return None
+    right, left, lip = required_faceframe(target).points
+    down = lip - (right + left) / 2
+    down = down / (np.hypot(*down) * np.hypot(*(left - right)))  # per px, in eye distances
+    linear = affine_between_models(source, target)[:, :2]
+    shown = ring_gaps(target.landmarks.weights[:, landmark_places("inner lips")]).mean(axis=1) @ down
+    asked = (
+        ring_gaps(source.landmarks.weights[:, landmark_places("inner lips")]).mean(axis=1) @ linear.T @ down
+    )
+    return Openings(
+        InnerProducts(source, source.basis.weight),
+        InnerProducts(target, target.basis.weight),
+        asked,
+        shown,
+        float((target.training.values @ shown).max(initial=0.0)),
+    )
 
 
 def _features(target: MorphModel) -> AnyArray:

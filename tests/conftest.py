@@ -1,5 +1,6 @@
 """Shared fixtures: smooth random pictures, a small drawn clip with known warps, and a small model made of them."""
 
+import os
 from collections.abc import Iterator
 from dataclasses import dataclass
 
@@ -17,6 +18,14 @@ from morphspace.rows import RowArray
 HEIGHT, WIDTH = 72, 60
 MOUTH_ROW = 50  # the slit lies between this row and the next
 FRAMES = 9
+
+
+@pytest.fixture(scope="session", autouse=True)
+def nobody_pulls_the_plug():
+    """Files are not forced to the disk: no test cuts the power, and waiting for disks was a fifth of the suite."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(os, "fsync", lambda handle: None)
+        yield
 
 
 def textured(height, width, seed=0, sd_px=2.0):

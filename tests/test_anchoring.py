@@ -148,7 +148,7 @@ def test_a_model_reads_new_frames_as_its_build_did_where_the_networks_are(model,
     assert anchor_of_build(model.reference, ANCHORED) is not None
     held = replace(model, provenance={**model.provenance, **ANCHORED}, registration="similarity")
     frame = held.align(np.array(model.reference), "some")
-    assert_allclose(frame.registration, np.eye(2, 3), atol=1e-6)
+    assert_allclose(frame.registration, np.eye(2, 3), atol=1e-4)  # px: a grey level that rounds otherwise
     moved = FaceFinder(lambda image: FacePoints(points() + 2.0, 0.9))
     plain = model.flow_from_reference(model.reference, None)
     held.__dict__["anchor"] = FaceAnchor(moved, FacePoints(points(), 0.9))

@@ -20,6 +20,7 @@ from click.testing import CliRunner, Result
 
 from morphspace.cli import main
 from morphspace.errors import BadInput
+from morphspace.faces import FaceFrame
 from morphspace.files.images import read_image, write_image
 from morphspace.files.tables import read_loadings_table, read_metrics_table
 from morphspace.model import load_model
@@ -160,6 +161,25 @@ def test_size_covers_and_crops_to_the_middle_and_says_so(actor: Path, tmp_path: 
     assert load_model(tmp_path / "a.morph").size == (48, 48)
 
 
+def test_more_components_than_a_model_has_is_all_of_them_and_is_said(
+    actor: Path, model: Path, tmp_path: Path
+):
+    result = run("reconstruct", model, actor, "-o", tmp_path / "back", "-k", "99")
+    assert result.exit_code == 0 and "99 components were asked for" in result.stderr
+    assert f"from {load_model(model).rank} components" in result.stdout
+
+
+def test_info_names_the_keypoints_or_says_how_to_mark_them(model: Path, tmp_path: Path):
+    marked = tmp_path / "m.morph"
+    load_model(model).with_faceframe(FaceFrame((20.0, 28.06), (40.0, 28.0), (30.0, 44.0))).save(marked)
+    (line,) = (line for line in run("info", marked).stdout.splitlines() if line.startswith("faceframe"))
+    assert (
+        line == "faceframe  right eye 20.0,28.1, left eye 40.0,28.0, philtrum 30.0,44.0 (px of the mean face)"
+    )
+    load_model(marked).with_faceframe(None).save(tmp_path / "n.morph")
+    assert "not marked: `morphspace keypoints MODEL --auto`" in run("info", tmp_path / "n.morph").stdout
+
+
 def test_render_refuses_a_table_of_another_model(actor: Path, model: Path, tmp_path: Path):
     other = tmp_path / "b.morph"
     assert (
@@ -273,7 +293,7 @@ def test_info_notices_a_changed_number(model: Path, tmp_path: Path):
         (["info", "nowhere.morph"], ["nowhere.morph"]),
         (["encode", "MODEL", "nowhere", "-o", "OUT/a.csv"], ["nowhere"]),
         (["render", "MODEL", "nowhere.csv", "-o", "OUT/images"], ["nowhere.csv"]),
-        (["reconstruct", "MODEL", "CLIP", "-o", "OUT/back", "-k", "99"], ["99"]),
+        (["reconstruct", "MODEL", "CLIP", "-o", "OUT/back", "-k", "0"], ["0 components"]),
         (["sample", "MODEL", "-o", "OUT/s", "-n", "0"], ["--count", "0"]),
         (["sample", "MODEL", "-o", "OUT/s", "--seed", "-1"], ["-1"]),
         (["sweep", "MODEL", "-o", "OUT/s", "--steps", "1"], ["--steps", "1"]),

@@ -3,6 +3,7 @@
 import json
 import re
 from collections.abc import Iterator
+from functools import cache
 from pathlib import Path
 
 import jsonschema
@@ -35,6 +36,7 @@ POINTS = np.array([[10.25, 20.0], [30.0, 20.5], [20.0, 35.0]])
 OURS = ("clip-folder", "faceframe", "loadings-table")
 
 
+@cache
 def validator_of(kind: str) -> jsonschema.Draft202012Validator:
     schema = json.loads((DATA_SPEC / f"{kind}.schema.json").read_text())
     jsonschema.Draft202012Validator.check_schema(schema)

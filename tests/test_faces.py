@@ -16,6 +16,7 @@ from morphspace.faces import (
     register,
     rigid_region,
 )
+from morphspace.flow.baselines import dis_medium, grey_codes
 
 HEIGHT, WIDTH = 120, 96
 
@@ -175,12 +176,43 @@ def test_a_later_pass_is_done_on_the_frame_as_the_earlier_ones_left_it(picture, 
         seen.append(frame)
         return warp.affine_displacement(left.pop(0), HEIGHT, WIDTH)
 
-    monkeypatch.setattr(faces, "dis_medium", flow)
+    monkeypatch.setattr(faces, "dis_of_codes", flow)
     image = picture(HEIGHT, WIDTH)
     found = register(image, image, "similarity", rigid_region(HEIGHT, WIDTH))
     # reference(p) = aligned(second p) = image(first second p)
     assert_allclose(found, warp.chain_affine(*steps), atol=1e-4)
-    assert_allclose(seen[1], aligned(image, "", steps[0]).image, atol=1e-3)
+    assert_allclose(seen[1], grey_codes(aligned(image, "", steps[0]).image).astype(int), atol=1)  # of 255
+
+
+def test_flow_of_codes_is_the_flow_of_their_pictures(picture):
+    one, other = picture(HEIGHT, WIDTH, seed=1), picture(HEIGHT, WIDTH, seed=2)
+    assert np.array_equal(faces.dis_of_codes(grey_codes(one), grey_codes(other)), dis_medium(one, other))
+
+
+@pytest.mark.parametrize(
+    ("off_px", "hopeless", "flows"), [(0.2, np.inf, 2), (2.0, np.inf, 3), (60.0, faces.HOPELESS, 2)]
+)
+def test_a_start_that_leads_nowhere_else_costs_no_second_search(
+    picture, monkeypatch, off_px, hopeless, flows
+):
+    """Near the place that was found it is that place; from farther one pass leads there; far off it is hopeless."""
+    movement = similarity(3.0, 1.02, (2.0, -1.0))
+    reference, image = moved_picture(picture, movement)
+    region = rigid_region(HEIGHT, WIDTH)
+    alone = register(reference, image, "similarity", region)
+    calls, find = [], faces.dis_of_codes
+    monkeypatch.setattr(faces, "HOPELESS", hopeless)
+    monkeypatch.setattr(faces, "dis_of_codes", lambda *codes: calls.append(1) or find(*codes))
+    start = alone + np.array([[0, 0, off_px], [0, 0, 0]])
+    assert np.array_equal(register(reference, image, "similarity", region, start), alone)
+    assert len(calls) == flows
+
+
+def test_a_movement_that_is_no_number_is_refused(picture, monkeypatch):
+    monkeypatch.setattr(faces, "dis_of_codes", lambda one, other: np.full((HEIGHT, WIDTH, 2), np.nan))
+    image = picture(HEIGHT, WIDTH)
+    with pytest.raises(BadInput, match="not finite"), np.errstate(invalid="ignore"):
+        register(image, image, "similarity", rigid_region(HEIGHT, WIDTH))
 
 
 def test_affine_registration_finds_a_known_affine(picture):

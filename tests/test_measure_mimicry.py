@@ -5,6 +5,7 @@ import json
 import re
 import xml.etree.ElementTree as ElementTree
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 
 import click
@@ -29,7 +30,7 @@ from morphspace.storage import digest_of_file
 from morphspace.verbs import build_model, measure_mimicry
 from morphspace.verbs.imitators import imitator_of
 from morphspace.verbs.measure_mimicry import MeasureMimicryRequest, of_height
-from morphspace.verbs.motions import region_mask
+from morphspace.verbs.motions import name_of_table, region_mask
 
 FRAMES = 24
 
@@ -107,9 +108,20 @@ def test_clips_are_measured_as_their_loadings_are(work, model):
     assert outcome.document["stimulus_frames"] == FRAMES
 
 
+@pytest.fixture(scope="module")
+def told(model, tmp_path_factory):
+    """What lies beside the table of two tables that were measured, as text."""
+    work = tmp_path_factory.mktemp("told")
+    model.save(work / "drawn.morph")
+    given = table(work, "a", motion(), model)
+    measured(work, given, given)
+    return (work / "out" / "measures.json").read_text()
+
+
 SCHEMA = Path(__file__).parent.parent / "data_spec" / "imitation-table.schema.json"
 
 
+@cache
 def validator():
     schema = json.loads(SCHEMA.read_text())
     jsonschema.Draft202012Validator.check_schema(schema)
@@ -156,10 +168,8 @@ def test_what_lies_beside_the_table_fits_its_schema(work, model, case):
         ("something", "else"),
     ],
 )
-def test_a_broken_one_does_not(work, model, entry, value):
-    given = table(work, "a", motion(), model)
-    measured(work, given, given)
-    document = json.loads((work / "out" / "measures.json").read_text())
+def test_a_broken_one_does_not(told, entry, value):
+    document = json.loads(told)
     validator().validate(document)
     with pytest.raises(jsonschema.ValidationError):
         validator().validate({**document, entry: value})
@@ -319,6 +329,36 @@ def test_components_are_the_first_so_many(work, model):
     some = rows(work)
     assert some["name"] == ["pc001", "pc002", "all"]
     assert some["correlation"][:2] == every["correlation"][:2]
+
+
+def test_more_components_than_there_are_is_all_of_them_and_is_said(work, model):
+    good, narrow = table(work, "a", motion(), model), table(work, "narrow", motion()[:, :2], model)
+    outcome = measured(work, good, good, components=9)
+    assert "9 components were asked for, drawn has 3: all of them are used" in outcome.warnings
+    assert outcome.document["components"] == 3
+    outcome = measured(work, good, narrow, components=3)
+    assert "3 components were asked for, a table has 2: all of them are used" in outcome.warnings
+    assert rows(work)["name"] == ["pc001", "pc002", "all"]
+
+
+def test_a_motion_is_called_what_people_call_it():
+    """A file that a verb named is called after its folder, any other after itself."""
+    assert name_of_table(Path("anna_to_ben/loadings.csv"), {}) == "anna_to_ben"
+    assert name_of_table(Path("anna/smile.csv"), {"identity": "ben"}) == "smile"
+    assert name_of_table(Path("loadings.csv"), {}) == Path.cwd().name
+    told = {"identity": "ben", "source_identity": "anna"}
+    assert name_of_table(Path("/loadings.csv"), told) == "anna"
+    assert name_of_table(Path("/stimulus.csv"), {"identity": "ben"}) == "ben"
+    assert name_of_table(Path("/stimulus.csv"), {}) == "stimulus"
+
+
+def test_the_page_says_which_p_is_of_what(work, model):
+    outcome = measured(work, table(work, "a", motion(), model), table(work, "b", motion(seed=1), model))
+    page = (work / "out" / "index.html").read_text()
+    headings = re.findall(r"<th[^>]*scope=.col.[^>]*>(.*?)</th>", page)
+    assert len(headings) == len(set(headings)) > 10 and "p of r at best lag" in headings
+    assert "with chance free to choose its lag" in page and "it does not say how sure" in page
+    assert "chance at its own best lag" in outcome.lines[2]
 
 
 def test_a_part_of_the_face_hides_what_happens_elsewhere(work, model):
@@ -551,15 +591,12 @@ def bad(work, model, what):
     (work / "empty").mkdir()
     write_image(work / "small.png", np.ones((10, 12, 3), np.float32))
     (work / "nan.csv").write_text("frame,pc001_sd\nf1,0.5\nf2,nan\nf3,1\n")
-    narrow = table(work, "narrow", motion()[:, :2], model)
     return {
         "one frame": ((good, one_frame), {}, r"imitation .*one\.csv has 1 frame\(s\), at least 3"),
         "empty folder": ((good, str(work / "empty")), {}, "holds no images"),
         "no such file": ((str(work / "no.csv"), good), {}, r"cannot read .*no\.csv"),
         "no such clip": ((good, str(work / "gone")), {}, "gone does not exist"),
-        "too many components": ((good, good), {"components": 9}, "cannot measure 9 components, drawn has 3"),
-        "no components": ((good, good), {"components": 0}, "cannot measure 0 components"),
-        "too few columns": ((good, narrow), {"components": 3}, "a table has 2"),
+        "no components": ((good, good), {"components": 0}, "0 components were asked for"),
         "mask of another size": ((good, good), {"mask": work / "small.png"}, "small.png is 12x10, .* 60x72"),
         "mask and region": ((good, good), {"mask": work / "small.png", "region": "eyes"}, "choose one"),
         "nan": ((good, str(work / "nan.csv")), {}, "row 3, column pc001_sd is 'nan'"),
@@ -574,9 +611,7 @@ def bad(work, model, what):
         "empty folder",
         "no such file",
         "no such clip",
-        "too many components",
         "no components",
-        "too few columns",
         "mask of another size",
         "mask and region",
         "nan",

@@ -22,7 +22,7 @@ from morphspace.facepoints import (
     UPPER_LIP_BOTTOM,
     FacePoints,
 )
-from morphspace.faces import FaceFrame, face_mask
+from morphspace.faces import FaceFrame, Framing, face_mask
 from morphspace.files.images import read_image, write_image
 from morphspace.files.tables import read_loadings_table, read_metrics_table
 from morphspace.files.video import video_info
@@ -36,10 +36,11 @@ from morphspace.report.mimic_page import HEADINGS, LEFT_OUT
 from morphspace.rows import RowArray
 from morphspace.verbs import mimic as verb
 from morphspace.verbs import mimic_frames, mimic_neutral, mimic_sources
+from morphspace.verbs.encoding import energy_outside, notes_on_enlarging, notes_on_framing
 from morphspace.verbs.mimic import MimicRequest
 from morphspace.verbs.mimic_frames import FinishedFrames, frame_steps
 from morphspace.verbs.mimic_sources import Driver
-from morphspace.verbs.mimic_table import COLUMNS, OUT_OF_RANGE, FaceSeen, FrameMade, made_of
+from morphspace.verbs.mimic_table import COLUMNS, DECIMALS, OUT_OF_RANGE, FaceSeen, FrameMade, made_of
 
 ROUNDING = 0.51 / 255  # of an 8-bit file
 LOOSE = 1000.0  # SD; a bound that bounds nothing here
@@ -196,7 +197,11 @@ def test_every_column_of_quality_is_described(work):
     told = json.loads((work / "out" / "quality.json").read_text())
     assert list(table) == list(COLUMNS) and set(told["columns"]) == set(table)
     fields = {entry.name for kind in (Quality, Reach) for entry in dataclasses.fields(kind)}
-    assert fields <= set(COLUMNS) and fields == set(HEADINGS) - {"yaw_deg", "pitch_deg"} | set(LEFT_OUT)
+    assert fields <= set(COLUMNS) and fields == set(HEADINGS) - {
+        "outside_source",
+        "yaw_deg",
+        "pitch_deg",
+    } | set(LEFT_OUT)
 
 
 def test_the_same_request_gives_the_same_bytes(work):
@@ -296,6 +301,22 @@ def test_a_frame_without_a_face_and_a_turned_one_are_marked_and_the_clip_goes_on
     assert_allclose(table["yaw_deg"], [0, np.nan, 30, 0], atol=2)
     assert outcome.document["no_face"] == 1 and outcome.document["frames"] == 4
     assert any("1 of 4 frames show no face" in note for note in outcome.warnings)
+
+
+def test_a_turned_training_frame_is_marked_when_it_drives(work, actor):
+    """It is looked at as its loadings draw it; one that the detector does not find there is not marked for that."""
+    pictures = [actor.render(row) for row in actor.training.values]
+
+    def detector(image):
+        place = next((i for i, picture in enumerate(pictures) if np.array_equal(picture, image)), None)
+        return {1: None, 2: points(yaw_deg=30)}.get(place, points())
+
+    outcome = run(work, detector=detector)
+    table = read_metrics_table(work / "out" / "quality.csv")
+    flags = [set(words.split()) & {"no-face", "turned"} for words in table["flags"]]
+    assert flags == [{"turned"} if place == 2 else set() for place in range(len(pictures))]
+    assert np.isnan(table["yaw_deg"][1]) and table["yaw_deg"][2] == pytest.approx(30, abs=2)
+    assert outcome.document["no_face"] == 0 and outcome.document["turned"] == 1
 
 
 def test_means_of_other_expressions_are_said(work, actor, other):
@@ -439,7 +460,6 @@ def test_a_model_without_keypoints_says_the_command(work, model):
         ({"gain": float("inf")}, "a gain of inf"),
         ({"max_sd": 0.0}, "a bound of 0.0 SD"),
         ({"max_sd": float("nan")}, "a bound of nan SD"),
-        ({"components": 3}, "cannot mimic with 3 components, other has 2: choose 1 to 2"),
         ({"components": 0}, "0 components"),
         ({"method": "guided"}, "morphspace keypoints MODEL --auto"),
         ({"neutral": "a,b,c"}, "--neutral 'a,b,c'"),
@@ -455,6 +475,104 @@ def test_what_cannot_be_meant_is_refused_before_anything_is_written(work, more, 
         run(work, **more)
     assert words in str(refusal.value) and "\n" not in str(refusal.value)
     assert not (work / "out").exists()
+
+
+def test_more_components_than_there_are_is_all_of_them_and_is_said(work):
+    outcome = run(work, components=3, method="paper")
+    assert "3 components were asked for, other has 2: all of them are used" in outcome.warnings
+    frames = {path.name: path.read_bytes() for path in (work / "out" / "frames").iterdir()}
+    assert not any("components were asked" in note for note in run(work, method="paper").warnings)
+    assert {path.name: path.read_bytes() for path in (work / "out" / "frames").iterdir()} == frames
+
+
+def test_tiny_driving_frames_are_said_to_be_enlarged_and_tinier_ones_refused(work, picture):
+    for width, height in ((36, 43), (30, 36)):
+        (work / f"w{width}").mkdir()
+        write_image(work / f"w{width}" / "f.png", picture(height, width))
+    (note,) = (n for n in run(work, frames=str(work / "w36")).warnings if "driving frames of 36x43" in n)
+    assert "enlarged to 60x72" in note and "lost" not in note
+    with pytest.raises(
+        BadInput, match=r"pictures of 30x36 in w30 are too small .* drawn are 60x72: .* 32 px"
+    ):
+        run(work, frames=str(work / "w30"), output=work / "new")
+    assert not (work / "new").exists()
+    framing = Framing((36, 43), None, (200, 240))
+    assert "enlarged to 201x240" in notes_on_framing(framing, "x")[0]
+    assert "5.6 times, and small motions are lost" in notes_on_framing(framing, "x")[0]
+    assert notes_on_enlarging(Framing((400, 480), None, (200, 240)), "x") == ()
+
+
+def test_driving_frames_of_another_person_are_said_to_be(work, actor, other):
+    """By how much of them the source's model cannot show; its own frames drive without a word."""
+    own = clip(work, actor, 0.7 * actor.training.values[:4])
+    assert not any("another person" in note for note in run(work, frames=own).warnings)
+    table = read_metrics_table(work / "out" / "quality.csv")
+    assert np.median(table["outside_source"]) < 0.5  # variances of the training faces; the flow errs on 60 px
+    strangers = clip(work, other, other.training.values[:4], name="strangers")
+    outcome = run(work, frames=strangers)
+    (note,) = (note for note in outcome.warnings if "another person" in note)
+    assert "than drawn" in note and "outside_source" in note
+    assert min(read_metrics_table(work / "out" / "quality.csv")["outside_source"]) > 1
+    assert not any("on average the frames drive" in note for note in outcome.warnings)
+    run(work)
+    assert not any(read_metrics_table(work / "out" / "quality.csv")["outside_source"])  # empty cells
+
+
+def test_energy_outside_is_what_the_components_leave(actor):
+    """Half a training face lies inside; what no component holds counts by its energy in the model's variances."""
+    offset = offset_of(actor, 0.5 * actor.training.values[0])
+    assert energy_outside(offset, actor) < 1e-4
+    rng = np.random.default_rng(2)
+    values = rng.standard_normal(actor.basis.components.shape[1]).astype(np.float32)
+    values -= actor.basis.expand(actor.basis.project(values))
+    texture, displacement = parts_of(values, *actor.mask.shape)
+    stranger = dataclasses.replace(
+        offset, texture=offset.texture + texture, displacement=offset.displacement + displacement
+    )
+    energy = (actor.basis.weight * values * values).sum()
+    variance = actor.basis.variances.sum() + actor.basis.discarded_variance
+    assert energy_outside(stranger, actor) == pytest.approx(energy / variance, rel=1e-4)
+
+
+def test_figures_are_written_to_what_they_are_good_for(work, actor):
+    run(work, frames=clip(work, actor, 0.5 * actor.training.values[:3]))
+    lines = (work / "out" / "quality.csv").read_text().splitlines()
+    cells = [cell for line in lines[1:] for cell in line.split(",")[1:]]
+    assert max(len(cell.partition(".")[2]) for cell in cells) <= 6
+    assert set(DECIMALS) == set(COLUMNS) - {"frame", "bounded", "flags"}
+
+
+def test_a_clip_without_a_face_is_refused_before_a_model_is_built_of_it(work, actor):
+    given = clip(work, actor, actor.training.values[:3])
+    looked = []
+
+    def blind(picture):
+        looked.append(picture)
+
+    with pytest.raises(BadInput, match=r"--dst clip is a clip, and none of 3 frames .* clip\.json"):
+        request = MimicRequest(str(work / "a.morph"), given, work / "out")
+        result_of(verb.run(request, blind))
+    assert len(looked) == 3 and not (work / "out").exists()
+
+
+def test_a_refusal_says_which_models_stay_and_the_next_run_takes_them(work, actor, monkeypatch):
+    given = clip(work, actor, actor.training.values)
+    seen = []
+
+    def one_face(picture):  # enough for a build to begin, too few to place keypoints
+        seen.append(picture)
+        return points() if len(seen) == 1 else None
+
+    request = MimicRequest(str(work / "a.morph"), given, work / "out")
+    with pytest.raises(BadInput, match=r"too few to place keypoints.*stays in .*models \(clip\.morph\)"):
+        result_of(verb.run(request, one_face))
+    stays = work / "out" / "models" / "clip.morph"
+    assert load_model(stays).faceframe is None
+    assert not (work / "out" / "frames").exists()
+    load_model(stays).with_faceframe(actor.faceframe).save(stays)
+    before = stays.read_bytes()
+    result_of(verb.run(request, lambda picture: None))
+    assert stays.read_bytes() == before
 
 
 def test_an_empty_clip_is_refused(work):
@@ -505,9 +623,10 @@ def test_a_damaged_driving_frame_is_named_and_leaves_no_record(work, actor):
 
 
 @pytest.mark.parametrize("face", [None, FaceSeen(False), FaceSeen(True, True, 31.5, -2 / 3)])
-def test_a_finished_frame_reads_back_bit_equal(face):
+@pytest.mark.parametrize("outside", [None, 1 / 3])
+def test_a_finished_frame_reads_back_bit_equal(face, outside):
     quality = Quality(*(1 / (3 + place) for place in range(len(dataclasses.fields(Quality)))))
-    document = FrameMade((0.1, -1 / 3), quality, Reach(1 / 7, -1 / 11), face, 3, "ab").document()
+    document = FrameMade((0.1, -1 / 3), quality, Reach(1 / 7, -1 / 11), face, outside, 3, "ab").document()
     assert made_of(json.loads(json.dumps(document))).document() == document
 
 

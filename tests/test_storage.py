@@ -3,6 +3,7 @@ was.
 """
 
 import json
+import os
 import struct
 import subprocess
 import sys
@@ -198,6 +199,19 @@ def test_a_failure_while_writing_leaves_the_old_file_and_nothing_else(tmp_path):
         raise KeyboardInterrupt
     assert path.read_text() == "old"
     assert names_in(tmp_path) == ["kept.txt"]
+
+
+def test_a_file_is_on_the_disk_before_it_takes_its_name(tmp_path, monkeypatch):
+    """Else a power cut could leave an empty file under a finished name."""
+    path, lengths = tmp_path / "a.txt", []
+
+    def forced(handle):
+        assert not path.exists()
+        lengths.append(os.fstat(handle).st_size)
+
+    monkeypatch.setattr(os, "fsync", forced)
+    write_text(path, "whole")
+    assert lengths == [len("whole")] and path.exists()
 
 
 FULL_DISK = """

@@ -94,15 +94,20 @@ def _figures(shown: MeasuredImitation) -> Html:
     lag = _last(shown, "lag_frames")
     in_s = f" ({lag / shown.rate_hz:+.2f} s)" if shown.rate_hz and np.isfinite(lag) else ""
     entries = [
-        (number(_last(shown, "correlation")), f"correlation, {chance_words(_last(shown, 'correlation_p'))}"),
+        (
+            number(_last(shown, "correlation")),
+            f"correlation frame by frame, {chance_words(_last(shown, 'correlation_p'))}",
+        ),
         (
             number(_last(shown, "correlation_at_lag")),
-            f"at the best lag, {chance_words(_last(shown, 'correlation_at_lag_p'))}",
+            f"correlation at the best lag, {chance_words(_last(shown, 'correlation_at_lag_p'))} with chance free to "
+            "choose its lag",
         ),
         (f"{number(lag, 0)}", f"frames of lag{in_s}; above 0 the imitation is later"),
         (
             number(_last(shown, "correlation_aligned")),
-            f"after alignment, {chance_words(_last(shown, 'correlation_aligned_p'))}",
+            f"correlation after alignment, {chance_words(_last(shown, 'correlation_aligned_p'))} with chance aligned "
+            "likewise",
         ),
         (number(alignment.timing_rms_frames, 1), "frames moved by alignment, rms"),
         (number(_last(shown, "gain")), "gain: size of the imitation's motion along the stimulus'"),
@@ -173,8 +178,9 @@ def _timing(shown: MeasuredImitation) -> Html:
             figure(
                 line_plot(plot, curve.tolist(), dot=dot, level=level, level_value=value),
                 text(
-                    f"Lag: highest at {int(lag)} frames (dot), where r is {curve[place]:.2f}; "
-                    f"{chance_words(_last(shown, 'correlation_at_lag_p'))}, the search allowed for."
+                    f"Lag: highest at {int(lag)} frames (dot), where r is {curve[place]:.2f}. Of a correlation so "
+                    f"high at any lag {chance_words(_last(shown, 'correlation_at_lag_p'))}; it does not say how sure "
+                    "the lag itself is."
                 ),
             )
         )
@@ -208,20 +214,20 @@ def _delay_of_each(path: AnyArray, straight: AnyArray) -> AnyArray:
 
 COLUMNS = (
     ("correlation", "r", 2),
-    ("correlation_p", "p", 3),
-    ("correlation_p_familywise", "p of all", 3),
+    ("correlation_p", "p of r", 3),
+    ("correlation_p_familywise", "p of r, all tested", 3),
     ("cosine", "cosine", 2),
     ("gain", "gain", 2),
     ("distance_sd", "distance, SD", 2),
     ("mutual_information_nats", "mutual information, nats", 2),
-    ("mutual_information_nats_p", "p", 3),
+    ("mutual_information_nats_p", "p of information", 3),
     ("entropy_stimulus_nats", "entropy of stimulus, nats", 2),
     ("entropy_imitation_nats", "entropy of imitation, nats", 2),
     ("lag_frames", "lag, frames", 0),
-    ("correlation_at_lag", "r at lag", 2),
-    ("correlation_at_lag_p", "p", 3),
+    ("correlation_at_lag", "r at best lag", 2),
+    ("correlation_at_lag_p", "p of r at best lag", 3),
     ("correlation_aligned", "r aligned", 2),
-    ("correlation_aligned_p", "p", 3),
+    ("correlation_aligned_p", "p of r aligned", 3),
 )
 
 
@@ -263,8 +269,14 @@ def _reading(shown: MeasuredImitation) -> Html:
             f"Chance is the imitation turned in time, its end put before its beginning: {count} circular shifts "
             f"({some}), {costly} of them for mutual information and alignment. A turned motion is as smooth as the "
             "true one, so the smoothness which makes any two motions correlate is allowed for. Each p is one-sided "
-            f"and can be no smaller than {1 / (count + 1):.2g}. 'p of all' tests all components at once. A motion that "
-            "repeats itself comes close at other shifts too, and its p stays large."
+            f"and can be no smaller than {1 / (count + 1):.2g}. 'p of r, all tested' tests all components at once. A "
+            "motion that repeats itself comes close at other shifts too, and its p stays large."
+        ),
+        sentence(
+            "The p of r asks how often a turned imitation correlates as highly where it stands; the p of r at best "
+            "lag lets each turned imitation look for its own best lag first, as the true one did. So the second may "
+            "well be the larger although its r is higher: a search finds something in any motion. A stimulus and an "
+            "imitation that is merely late have a large p of r and a small p of r at best lag."
         ),
         sentence(
             "All components together are weighed by how much of the face they move and colour. Information and entropy "

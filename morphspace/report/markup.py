@@ -19,7 +19,9 @@ TIMES, MINUS, DASH = "\N{MULTIPLICATION SIGN}", "\N{MINUS SIGN}", "\N{EN DASH}"
 
 def text(value: object) -> Html:
     """Give any value as text of a page: escaped; control characters and broken UTF-8 become spaces."""
-    words = "".join(character if character.isprintable() else " " for character in str(value))
+    words = str(value)
+    if not words.isprintable():  # of a whole picture in base64 this is quick to ask
+        words = "".join(character if character.isprintable() else " " for character in words)
     return Html(html.escape(words, quote=True))
 
 

@@ -31,11 +31,13 @@ table.quality td,table.quality tbody th{white-space:nowrap}
 HEADINGS: dict[str, tuple[str, int, float]] = {
     "warp_kept": ("motion kept, %", 0, 100),
     "missing_motion": ("missing at features, %", 1, 100),
+    "opening_beyond": ("opens beyond, %", 1, 100),
     "colour_agreement": ("colours agree, r", 2, 1),
     "length_sd": ("length, SD", 2, 1),
     "largest_sd": ("largest asked, SD", 1, 1),
     "bounded": ("components bounded", 0, 1),
     "folds": ("folded, %", 2, 100),
+    "outside_source": ("outside source's space", 1, 1),
     "yaw_deg": ("yaw, degrees", 0, 1),
     "pitch_deg": ("pitch, degrees", 0, 1),
 }

@@ -13,7 +13,13 @@ from morphspace.files.tables import LOADINGS_FORMAT, write_loadings_table
 from morphspace.model import Loadings, MorphModel, load_model
 from morphspace.progress import Step, Steps
 from morphspace.storage import digest_of_file
-from morphspace.verbs.encoding import encoded_frames, framed_for, joined, notes_on_alignment
+from morphspace.verbs.encoding import (
+    encoded_frames,
+    framed_for,
+    joined,
+    notes_on_alignment,
+    notes_on_enlarging,
+)
 from morphspace.verbs.outcome import Outcome, check_file, check_folder, versions
 
 
@@ -54,7 +60,8 @@ def run(request: EncodeRequest) -> Steps[Outcome]:
         "components": model.rank,
         "furthest_sd": furthest,
     }
-    return Outcome(lines, document, notes_on_alignment(model), written)
+    notes = notes_on_enlarging(source.framing, model.identity) + notes_on_alignment(model)
+    return Outcome(lines, document, notes, written)
 
 
 def write_loadings(

@@ -5,11 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-from morphspace.model import load_model, points_document
+from morphspace.model import MorphModel, load_model, points_document
 from morphspace.modelfile import check_content
 from morphspace.progress import Step, Steps
 from morphspace.verbs.build_model import explained_variance
-from morphspace.verbs.keypoints import told_errors
+from morphspace.verbs.keypoints import point_names, told_errors
 from morphspace.verbs.outcome import Outcome
 
 SHOWN = 10  # components listed one by one
@@ -20,6 +20,16 @@ class InfoRequest:
     """Tell about the model in the file `model`."""
 
     model: Path
+
+
+def _faceframe_words(model: MorphModel) -> str:
+    if model.faceframe is None:
+        return "not marked: `morphspace keypoints MODEL --auto` marks it, or --set or --from"
+    points = ", ".join(
+        f"{name} {x:.1f},{y:.1f}"
+        for name, (x, y) in zip(point_names(model), model.faceframe.points.tolist(), strict=True)
+    )
+    return f"{points} (px of the mean face)"
 
 
 def run(request: InfoRequest) -> Steps[Outcome]:
@@ -41,7 +51,7 @@ def run(request: InfoRequest) -> Steps[Outcome]:
         + (", ".join(f"{share:.1%}" for share in shares[:SHOWN]) or "none: the frames do not differ"),
         f"consent    {origin.get('consent') or 'not told'}",
         f"licence    {origin.get('licence') or 'not told'}",
-        "faceframe  " + ("not marked" if model.faceframe is None else str(points_document(model.faceframe))),
+        "faceframe  " + _faceframe_words(model),
         "landmarks  "
         + (
             "not learned: `morphspace keypoints MODEL --auto` learns them, `mimic --method guided` wants them"

@@ -210,9 +210,15 @@ def _shown(path: Path, model: MorphModel) -> Outcome:
 def _lines(model: MorphModel) -> tuple[str, ...]:
     if model.faceframe is None:
         return ()
-    names = ("right eye", "left eye", "philtrum" if lip_of(model) == "philtrum" else "upper lip, bottom")
     points = model.faceframe.points.tolist()
-    return tuple(f"{name:<18} {x:.1f}, {y:.1f}" for name, (x, y) in zip(names, points, strict=True))
+    return tuple(
+        f"{name:<18} {x:.1f}, {y:.1f}" for name, (x, y) in zip(point_names(model), points, strict=True)
+    )
+
+
+def point_names(model: MorphModel) -> tuple[str, str, str]:
+    """Give what the three points of a model with a faceframe mark."""
+    return "right eye", "left eye", "philtrum" if lip_of(model) == "philtrum" else "upper lip's bottom"
 
 
 def _document(model: MorphModel) -> dict[str, Any]:

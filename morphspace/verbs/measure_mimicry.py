@@ -23,6 +23,7 @@ from morphspace.model import MorphModel, load_model
 from morphspace.progress import Step, Steps
 from morphspace.report.imitation_page import MeasuredImitation, imitation_page
 from morphspace.storage import digest_of_file, write_text
+from morphspace.verbs.encoding import check_components, components_used
 from morphspace.verbs.imitators import METHOD, imitator_of
 from morphspace.verbs.measures_table import (
     component_names,
@@ -84,7 +85,10 @@ def run(request: MeasureMimicryRequest) -> Steps[Outcome]:
         opened("stimulus", request.stimulus, model, notes),
         opened("imitation", request.imitation, model, notes, imitator),
     ]
-    k = _component_count(request, model, sources)
+    known = min(source.components for source in sources)
+    what = model.identity if known == model.rank else "a table"
+    k, rank_notes = components_used(request.components, known, what)
+    notes += rank_notes
     check_folder(folder)
     stimulus = yield from measured(sources[0], model, part)
     imitation = yield from measured(sources[1], model, part)
@@ -190,27 +194,11 @@ def _check_request(request: MeasureMimicryRequest, model: MorphModel) -> None:
         raise BadInput(
             f"{request.model} has no component: nothing can be measured in its space; build it from more frames"
         )
-    if request.components is not None and not 1 <= request.components <= model.rank:
-        raise BadInput(
-            f"cannot measure {request.components} components, {model.identity} has {model.rank}: choose 1 to "
-            f"{model.rank}"
-        )
+    check_components(request.components)
     if request.permutations < 0:
         raise BadInput(f"{request.permutations} permutations cannot be drawn: give 0 or more")
     if request.mask is not None and request.region != "whole":
         raise BadInput(f"both the mask {request.mask} and the region {request.region} were given: choose one")
-
-
-def _component_count(request: MeasureMimicryRequest, model: MorphModel, sources: list[Motion]) -> int:
-    known = min(source.components for source in sources)
-    if request.components is None:
-        return known
-    if request.components > known:
-        raise BadInput(
-            f"cannot measure {request.components} components, a table has {known}: choose 1 to {known}, or encode with "
-            f"all {model.rank}"
-        )
-    return request.components
 
 
 def _mean_apart(a_sd: LoadingTable, b_sd: LoadingTable, imitation: Motion, notes: list[str]) -> AnyArray:
@@ -369,8 +357,9 @@ def _outcome(
         first,
         f"correlation {said('correlation')} (p {said('correlation_p', 3)}), gain {said('gain')}, distance "
         f"{said('distance_sd')} SD",
-        f"best at lag {said('lag_frames', 0)} frames: {said('correlation_at_lag')} (p "
-        f"{said('correlation_at_lag_p', 3)}); aligned: {said('correlation_aligned')} (p "
-        f"{said('correlation_aligned_p', 3)}), frames moved by {comparison.alignment.timing_rms_frames:.1f} rms",
+        f"correlation at its best lag of {said('lag_frames', 0)} frames {said('correlation_at_lag')} (p "
+        f"{said('correlation_at_lag_p', 3)}, chance at its own best lag); aligned {said('correlation_aligned')} (p "
+        f"{said('correlation_aligned_p', 3)}, chance aligned too), frames moved by "
+        f"{comparison.alignment.timing_rms_frames:.1f} rms",
     )
     return Outcome(lines, {"output": str(folder), **told, **document}, tuple(notes), tuple(written))

@@ -25,6 +25,7 @@ from morphspace.reach import reach_of
 from morphspace.report.mimic_page import MimicryShown, mimic_page
 from morphspace.storage import write_text
 from morphspace.verbs import mimic_advice
+from morphspace.verbs.encoding import check_components, first_components
 from morphspace.verbs.mimic_folder import (
     FRAMES_FOLDER,
     MODELS_FOLDER,
@@ -32,12 +33,14 @@ from morphspace.verbs.mimic_folder import (
     WORK_FOLDER,
     check_ours,
     no_empty_folders,
+    told_what_stays,
 )
 from morphspace.verbs.mimic_frames import FinishedFrames, frame_steps, video_steps
 from morphspace.verbs.mimic_neutral import AUTOMATIC, neutral_names, rest_of
 from morphspace.verbs.mimic_sources import (
     Driver,
     UsedModel,
+    check_faces,
     clip_driver,
     opened_model,
     own_detector,
@@ -92,8 +95,8 @@ def run(request: MimicRequest, detector: Detector | None = None) -> Steps[Outcom
     _check_request(request)
     detect = detector or own_detector()
     opened = [opened_model("--src", request.source, detect), opened_model("--dst", request.target, detect)]
-    _check_early(request, opened)
-    with no_empty_folders(request.output):
+    _check_early(request, opened, detect)
+    with told_what_stays(request.output), no_empty_folders(request.output):
         return (yield from _steps(request, opened, detect))
 
 
@@ -106,7 +109,7 @@ def _steps(
     for given in opened:
         models.append((yield from ready_model(given, folder / MODELS_FOLDER, request.components, detect)))
     source, target = models
-    shown_target = _truncated(target, request.components)
+    shown_target, rank_notes = first_components(target.model, request.components)
     driver = training_driver(source) if request.frames is None else clip_driver(source, request.frames)
     pictures = tuple(folder / FRAMES_FOLDER / name for name in picture_names(driver.names))
     video = folder / VIDEO_NAME
@@ -142,7 +145,14 @@ def _steps(
     loadings = np.array([one.loadings for one in made]).reshape(len(made), shown_target.rank)
     loadings_sd = loadings / shown_target.sd
     advice = mimic_advice.advice_of(source.model, target.model, made, loadings_sd, looks, gain, rest)
-    notes = (*method_notes, *driver.notes, *_size_note(source.model, target.model), *looks.notes, *advice)
+    notes = (
+        *method_notes,
+        *rank_notes,
+        *driver.notes,
+        *_size_note(source.model, target.model),
+        *looks.notes,
+        *advice,
+    )
     notes += _clipped_note(made, shown_target) + _stale_note(folder / FRAMES_FOLDER, pictures)
     told = {
         **settings,
@@ -208,17 +218,16 @@ def _check_request(request: MimicRequest) -> None:
         raise BadInput(
             f"a bound of {request.max_sd} SD cannot be used: give a number above 0, such as {MAX_SD:g}"
         )
-    if request.components is not None and request.components < 1:
-        raise BadInput(f"{request.components} components were asked for: ask for at least 1")
+    check_components(request.components)
     neutral_names(request.neutral)
     check_ours(request.output)
 
 
-def _check_early(request: MimicRequest, opened: Sequence[UsedModel | Clip]) -> None:
+def _check_early(request: MimicRequest, opened: Sequence[UsedModel | Clip], detect: Detector | None) -> None:
     """Find before a model is built what would be found after it."""
-    target = opened[1]
-    if isinstance(target, UsedModel):
-        _truncated(target, request.components)
+    for role, given in zip(("--src", "--dst"), opened, strict=True):
+        if isinstance(given, Clip):
+            check_faces(role, given, request.output / MODELS_FOLDER, request.components, detect)
     if request.frames is not None and any(isinstance(given, Clip) for given in opened):
         open_clip([request.frames])
 
@@ -234,17 +243,6 @@ def _check_inputs_stay(outputs: Sequence[Path], inputs: Sequence[Path]) -> None:
             raise BadInput(
                 f"the output {path} is one of the inputs and would be lost: choose another output folder"
             )
-
-
-def _truncated(target: UsedModel, components: int | None) -> MorphModel:
-    model = target.model
-    if components is None or components == model.rank:
-        return model
-    if components > model.rank:
-        raise BadInput(
-            f"cannot mimic with {components} components, {model.identity} has {model.rank}: choose 1 to {model.rank}"
-        )
-    return model.truncate(components)
 
 
 def _write_loadings(

@@ -11,6 +11,7 @@ from morphspace.arrays import AnyArray
 from morphspace.detection import Detector
 from morphspace.facepoints import LOWER_LIP_TOP, MOUTH_CORNERS, UPPER_LIP_BOTTOM, FacePoints
 from morphspace.model import MorphModel
+from morphspace.verbs.encoding import STRANGE
 from morphspace.verbs.mimic_neutral import Rest
 from morphspace.verbs.mimic_sources import Driver
 from morphspace.verbs.mimic_table import BEYOND, FOLDS, NO_FACE, OUT_OF_RANGE, TURNED, FrameMade
@@ -42,7 +43,11 @@ def looks_for_faces(
     A face that the detector does not know on the source's mean, such as a drawn one, it will not know in the frames.
     """
     if detector is None:
-        frames = "whether each driving frame shows a face, turned or not, and " if driver.is_pictures else ""
+        frames = (
+            "whether each driving frame shows a face, turned or not, and "
+            if driver.is_pictures
+            else "whether a head is turned, and "
+        )
         words = (
             f"{frames}whether the means of the two models differ in expression was not looked at: that needs the "
             "networks (morphspace models fetch)"
@@ -57,7 +62,7 @@ def looks_for_faces(
             "turned heads"
         )
         return Looks(None, None, (words,) if driver.is_pictures else ())
-    return Looks(detector if driver.is_pictures else None, means)
+    return Looks(detector, means)
 
 
 def expression_of(points: FacePoints) -> dict[str, float]:
@@ -82,10 +87,12 @@ def advice_of(
     rest: Rest,
 ) -> tuple[str, ...]:
     """Give what should be read first, each with what to do about it."""
+    strange = _strange_words(source, made)
     return (
+        *strange,
         *(rest.notes(source, target) or _means_words(source, target, looks)),
         *_kept_words(target, made, gain),
-        *(_centre_words(source, target, loadings_sd) if rest.origin is None else ()),
+        *(() if strange else _centre_words(source, target, loadings_sd, rest)),
         *_flag_words(target, made),
     )
 
@@ -120,7 +127,25 @@ def _kept_words(target: MorphModel, made: Sequence[FrameMade], gain: float) -> t
     )
 
 
-def _centre_words(source: MorphModel, target: MorphModel, loadings_sd: AnyArray) -> tuple[str, ...]:
+def _strange_words(source: MorphModel, made: Sequence[FrameMade]) -> tuple[str, ...]:
+    """Say where the driving frames are evidently not of the source's person, camera and light."""
+    seen = [one.outside_source for one in made if one.outside_source is not None]
+    outside = float(np.median(seen)) if seen else 0.0
+    if outside <= STRANGE:
+        return ()
+    return (
+        f"the driving frames are evidently of another person, day or camera than {source.identity}: they lie "
+        f"{outside:.1f} times the model's variance outside its space (about 0.2 where they do not; outside_source in "
+        "quality.csv), so that the mimicry shows the difference between the faces more than their motion; give as "
+        "--src a model built of who is in the frames",
+    )
+
+
+def _centre_words(
+    source: MorphModel, target: MorphModel, loadings_sd: AnyArray, rest: Rest
+) -> tuple[str, ...]:
+    if rest.origin is not None:
+        return ()
     mean = loadings_sd.mean(axis=0)
     farthest = int(np.abs(mean).argmax())
     if abs(mean[farthest]) <= OFF_CENTRE_SD:
@@ -137,7 +162,8 @@ def _flag_words(target: MorphModel, made: Sequence[FrameMade]) -> tuple[str, ...
         NO_FACE: "show no face to the detector: what was made of them means nothing",
         TURNED: "show a head turned by more than 20 degrees: its far side is hidden, and the motion is less sure",
         BEYOND: f"ask for more than {target.identity} ever shows: at lids, brows and lips more than {OUT_OF_RANGE:.0%} "
-        "of the eye distance is missing (missing_motion). Build its model from frames that show such expressions, or "
+        "of the eye distance is missing (missing_motion), or the mouth is asked to open wider than it ever does "
+        "(opening_beyond). Build its model from frames that show such expressions, or "
         "lower the gain",
         FOLDS: "fold over themselves in places: lower --gain or --max-sd",
     }

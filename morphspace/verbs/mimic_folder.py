@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from morphspace.errors import BadInput
+from morphspace.errors import BadInput, MorphspaceError
 from morphspace.verbs.outcome import RECORD_NAME
 
 FRAMES_FOLDER = "frames"
@@ -49,13 +49,36 @@ def _is_recorded(record: Path) -> bool:
 
 
 @contextmanager
+def told_what_stays(folder: Path) -> Iterator[None]:
+    """Where the block ends in an error of ours, add to its words which models, begun or built in it, lie here now."""
+    before = _models(folder)
+    try:
+        yield
+    except MorphspaceError as error:
+        made = [path.name for path in _models(folder) if path not in before]
+        if not made:
+            raise
+        raise type(error)(
+            f"{error}; what was made for it stays in {folder / MODELS_FOLDER} ({', '.join(made)}), and the next run "
+            "here goes on from it"
+        ) from error
+
+
+def _models(folder: Path) -> list[Path]:
+    """Give the models, and the work folders of models that were begun."""
+    place = folder / MODELS_FOLDER
+    return sorted(path for kind in ("*.morph", "*.morph.work") for path in place.glob(kind))
+
+
+@contextmanager
 def no_empty_folders(folder: Path) -> Iterator[None]:
     """Take away, however the block ends, what folders it made here that are empty."""
     inner = [folder / name for name in (FRAMES_FOLDER, WORK_FOLDER, MODELS_FOLDER)]
     made = [path for path in (*inner, folder, *folder.parents) if not path.exists()]
+    begun = folder / MODELS_FOLDER
     try:
         yield
     finally:
-        for path in made:
+        for path in (*begun.glob("*.morph.work"), *made):
             if path.is_dir() and not any(path.iterdir()):
                 path.rmdir()

@@ -25,12 +25,13 @@ from morphspace.progress import Step, Steps, in_order
 from morphspace.reach import Reach, ReachOf
 from morphspace.report.mimic_page import PAIRS_SHOWN
 from morphspace.storage import digest_of_file, digest_of_json, json_text, write_text
+from morphspace.verbs.encoding import energy_outside
 from morphspace.verbs.mimic_sources import Driver
 from morphspace.verbs.mimic_table import FaceSeen, FrameMade, made_of
 from morphspace.verbs.outcome import versions
 from morphspace.verbs.render import FRAME_RATE_HZ
 
-WORK_FORMAT = "morphspace-mimic-frame-2"
+WORK_FORMAT = "morphspace-mimic-frame-3"
 KEY_DIGITS = 32
 GAP_PX = 4  # between the panels of the video
 THUMBNAIL_WIDTH_PX = 132
@@ -90,14 +91,15 @@ def frame_steps(
 
     def one_frame(item: tuple[int, AnyArray]) -> tuple[int, FrameMade]:
         place, given = item
-        face = None if detect is None else _seen(detect, driver.picture(given))
+        face = None if detect is None else _seen(detect, driver, given)
         offset = driver.offset(driver.names[place], given)
         mimicry = make(offset)
         clipped = write_image(work.pictures[place], mimicry.morph.render())
         digest = digest_of_file(work.pictures[place])
         loadings = tuple(mimicry.loadings.tolist())
         followed = reach(offset, mimicry)
-        return place, FrameMade(loadings, mimicry.quality, followed, face, clipped, digest)
+        outside = energy_outside(offset, source) if driver.is_pictures else None
+        return place, FrameMade(loadings, mimicry.quality, followed, face, outside, clipped, digest)
 
     for place, one in in_order(one_frame, zip(missing, driver.given(missing), strict=True)):
         work.write(place, one)
@@ -106,10 +108,15 @@ def frame_steps(
     return [made[place] for place in range(total)]
 
 
-def _seen(detect: Detector, picture: Image) -> FaceSeen:
-    points = detect(picture)
+def _seen(detect: Detector, driver: Driver, given: AnyArray) -> FaceSeen | None:
+    """Look at a driving frame; None where nothing can be said.
+
+    A training frame is looked at as its loadings draw it. It is known to be a face, so one that is not found there is a
+    matter of the drawing.
+    """
+    points = detect(driver.picture(given))
     if points is None:
-        return FaceSeen(found=False)
+        return FaceSeen(found=False) if driver.is_pictures else None
     if points.depth is None:
         return FaceSeen(found=True)
     yaw, pitch = points.turn_degrees

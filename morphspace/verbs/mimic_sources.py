@@ -17,7 +17,6 @@ from morphspace.arrays import AnyArray, Image
 from morphspace.build import COMPONENTS
 from morphspace.detection import Detector, load_detector, models_present
 from morphspace.errors import BadInput
-from morphspace.faces import Framing
 from morphspace.files.clips import VIDEO_SUFFIXES, Clip, open_clip
 from morphspace.flow import methods
 from morphspace.keypoints import detect_faceframe
@@ -26,13 +25,15 @@ from morphspace.model import MorphModel, load_model
 from morphspace.modelfile import check_content
 from morphspace.morph import MorphOffset
 from morphspace.progress import Step, Steps
+from morphspace.reference import spread
 from morphspace.storage import digest_of_file, digest_of_json
 from morphspace.verbs import build_model
 from morphspace.verbs.build_model import BuildModelRequest
-from morphspace.verbs.encoding import framed_for
+from morphspace.verbs.encoding import framed_for, notes_on_framing
 from morphspace.verbs.outcome import versions
 
 MODEL_SUFFIX = ".morph"
+LOOKED_AT = 9  # frames of a clip, for a face
 
 
 @dataclass(frozen=True, eq=False)
@@ -108,30 +109,7 @@ def clip_driver(source: UsedModel, frames: str) -> Driver:
         offset=offset,
         picture=lambda picture: picture,
         files=framed.clip.paths,
-        notes=_framing_notes(framed.framing, model),
-    )
-
-
-def _framing_notes(framing: Framing, model: MorphModel) -> tuple[str, ...]:
-    """Say what was done to the driving frames so that they fit the model, where anything was."""
-
-    def size(wide: int, high: int) -> str:
-        return f"{wide}x{high}"
-
-    done = []
-    if framing.crop is not None:
-        done.append(f"cropped to {size(*framing.box[2:])} at {framing.box[0]},{framing.box[1]}")
-    if framing.scaled_size != framing.box[2:]:
-        done.append(f"scaled to {size(*framing.scaled_size)}")
-    if any(framing.cut_off):
-        done.append(f"cropped to the middle {size(*framing.size)}")
-    if not done:
-        return ()
-    *first, last = done
-    steps = f"{', '.join(first)} and {last}" if first else last
-    return (
-        f"driving frames of {size(*framing.source_size)} are {steps}, as the frames of {model.identity} are "
-        f"{size(*framing.size)}",
+        notes=notes_on_framing(framed.framing, model.identity, "driving frames"),
     )
 
 
@@ -164,6 +142,27 @@ def opened_model(role: str, given: str, detector: Detector | None) -> UsedModel 
             "`morphspace models fetch` once, or give a model with keypoints (`morphspace keypoints`)"
         )
     return clip
+
+
+def check_faces(
+    role: str, clip: Clip, folder: Path, components: int | None, detector: Detector | None
+) -> None:
+    """Raise `BadInput` where the keypoints of a clip's model are to be found and its frames show the detector no face.
+
+    A few frames are looked at, before the minutes of a build. A model of the clip that lies in `folder` is taken as it
+    is, so that one whose keypoints were set by hand is.
+    """
+    if detector is None or clip.sidecar.faceframe is not None:
+        return
+    if _found(clip, folder, max(COMPONENTS, components or 0))[1] is not None:
+        return
+    places = spread(len(clip.frame_names), LOOKED_AT)
+    if not any(detector(picture) is not None for picture in clip.images([int(place) for place in places])):
+        raise BadInput(
+            f"{role} {clip.name} is a clip, and none of {len(places)} frames spread over it shows a face, which the "
+            "keypoints of its model are found in: give a clip of a face, mark a faceframe in its clip.json, or give a "
+            "model with keypoints (`morphspace keypoints`)"
+        )
 
 
 def ready_model(

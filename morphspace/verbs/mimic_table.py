@@ -14,6 +14,7 @@ from morphspace.files.tables import write_metrics_table
 from morphspace.mimic import Quality
 from morphspace.reach import Reach
 from morphspace.storage import json_text, write_text
+from morphspace.verbs.encoding import STRANGE
 from morphspace.verbs.outcome import versions
 
 FORMAT = "morphspace-mimicry"
@@ -21,6 +22,9 @@ VERSION = 1
 # Missing motion at the features, in eye distances. Five pairs of people, 360 frames: one of a hundred above it. A
 # target that holds one single smile, asked for the frames of a face that opens its mouth wide: three of four above it.
 OUT_OF_RANGE = 0.10
+# Opening asked for beyond the widest ever shown, in eye distances. Six pairs, 432 frames: 29 above it, 14 of them of
+# the 72 that are asked of a person who shows one single smile, none of those that ask for speech.
+WIDER = 0.03
 FOLDED = 0.005  # of the cells inside the mask; a good result stays below
 FLAGS = NO_FACE, TURNED, BEYOND, FOLDS = "no-face", "turned", "out-of-range", "folds"
 
@@ -47,6 +51,17 @@ COLUMNS: dict[str, tuple[str, str]] = {
         "of the change of colour asked for with the one shown, means not taken off, inside both masks: 1 the same, 0 "
         "unrelated; some 0 to .4 between people",
     ),
+    "opening_beyond": (
+        "eye distance",
+        "how much wider the lips are asked to open than in any training face of the target, mean over the inner lips; "
+        "below 0 where they are not; empty where a model does not know its landmarks",
+    ),
+    "outside_source": (
+        "variances",
+        "energy of the driving frame that the source's components cannot show, in variances of the source's training "
+        f"faces: some 0.2 of frames of the same recording, above {STRANGE:g} of another person, day or camera; empty "
+        "where training frames drive",
+    ),
     "yaw_deg": (
         "degree",
         "turn of the driving head, positive towards the picture's right; empty where not measured",
@@ -55,10 +70,25 @@ COLUMNS: dict[str, tuple[str, str]] = {
     "flags": (
         "",
         f"words with blanks between: {NO_FACE} none was found in the driving frame; {TURNED} by more than 20 degrees; "
-        f"{BEYOND} missing_motion is above {OUT_OF_RANGE:g}; {FOLDS} more than {FOLDED:.1%}",
+        f"{BEYOND} missing_motion is above {OUT_OF_RANGE:g} or opening_beyond above {WIDER:g}; {FOLDS} more than "
+        f"{FOLDED:.1%}",
     ),
 }
 """Each column of the table: its unit and what it means."""
+# Of each number in the file. Another flow or another machine moves shares and correlations in the third decimal.
+DECIMALS = {
+    "texture_kept": 4,
+    "warp_kept": 4,
+    "length_sd": 3,
+    "largest_sd": 3,
+    "folds": 6,
+    "missing_motion": 4,
+    "colour_agreement": 4,
+    "opening_beyond": 4,
+    "outside_source": 3,
+    "yaw_deg": 1,
+    "pitch_deg": 1,
+}
 
 
 @dataclass(frozen=True)
@@ -73,25 +103,29 @@ class FaceSeen:
 
 @dataclass(frozen=True)
 class FrameMade:
-    """One finished frame: `loadings` (k,), its quality and reach, what was seen in the driving frame, how many values
-    were clipped, and the SHA-256 of its picture.
+    """One finished frame: `loadings` (k,), its quality and reach, what was seen in the driving frame, how much of that
+    the source's model cannot show (`encoding.energy_outside`), how many values were clipped, and the SHA-256 of its
+    picture.
     """
 
     loadings: tuple[float, ...]
     quality: Quality
     reach: Reach
     face: FaceSeen | None
+    outside_source: float | None
     clipped: int
     sha256: str
 
     @property
     def flags(self) -> tuple[str, ...]:
-        """The words a person should read about it."""
+        """The words a person should read about it, by the figures as the table has them."""
+        wider = self.reach.opening_beyond
         told = {
             NO_FACE: self.face is not None and not self.face.found,
             TURNED: self.face is not None and self.face.is_turned,
-            BEYOND: self.reach.missing_motion > OUT_OF_RANGE,
-            FOLDS: self.quality.folds > FOLDED,
+            BEYOND: rounded("missing_motion", self.reach.missing_motion) > OUT_OF_RANGE
+            or (wider is not None and rounded("opening_beyond", wider) > WIDER),
+            FOLDS: rounded("folds", self.quality.folds) > FOLDED,
         }
         return tuple(word for word, holds in told.items() if holds)
 
@@ -108,22 +142,31 @@ def made_of(document: Mapping[str, Any]) -> FrameMade:
         Quality(**document["quality"]),
         Reach(**document["reach"]),
         None if face is None else FaceSeen(**face),
+        None if document["outside_source"] is None else float(document["outside_source"]),
         int(document["clipped"]),
         str(document["sha256"]),
     )
 
 
 def quality_columns(names: Sequence[str], made: Sequence[FrameMade]) -> dict[str, list[Any]]:
-    """Give the table's columns by name, in order."""
+    """Give the table's columns by name, in order, each figure to as many decimals as it is good for."""
     table: dict[str, list[Any]] = {"frame": list(names)}
     for entry in fields(Quality):
         table[entry.name] = [getattr(one.quality, entry.name) for one in made]
     for entry in fields(Reach):
         table[entry.name] = [getattr(one.reach, entry.name) for one in made]
+    table["outside_source"] = [one.outside_source for one in made]
     table["yaw_deg"] = [None if one.face is None else one.face.yaw_deg for one in made]
     table["pitch_deg"] = [None if one.face is None else one.face.pitch_deg for one in made]
     table["flags"] = [" ".join(one.flags) for one in made]
+    for name in DECIMALS:
+        table[name] = [None if value is None else rounded(name, value) for value in table[name]]
     return table
+
+
+def rounded(name: str, value: float) -> float:
+    """Give a figure of a column as the table has it."""
+    return round(float(value), DECIMALS[name])
 
 
 def write_quality(

@@ -5,10 +5,10 @@ What was done to make them comparable is said in notes, which the page and the c
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 
@@ -21,17 +21,25 @@ from morphspace.files.tables import read_loadings_table
 from morphspace.imitation import MaskedBasis, masked_basis
 from morphspace.imitation.shape import LEAST_FRAMES, resampled
 from morphspace.model import MorphModel, inner_product
-from morphspace.morph import Morph, vector_of
+from morphspace.morph import vector_of
 from morphspace.progress import Step, Steps, in_order
 from morphspace.storage import digest_of_file
-from morphspace.verbs.encoding import encoded_frames, framed_for
+from morphspace.verbs.encoding import (
+    STRANGE,
+    encoded_frames,
+    energy_outside,
+    framed_for,
+    notes_on_enlarging,
+)
 from morphspace.verbs.imitators import Imitator
 from morphspace.verbs.render import check_reach
 
 Region = Literal["whole", "eyes", "mouth"]
-# Energy that frames leave outside a model's space, over the variance of its training faces: .2 of frames of the same
-# recording that were held out, 2.6 to 26 of other people and of the same person on another day.
-STRANGE = 1.0
+NAMED_BY_VERBS = (
+    "loadings",
+    "stimulus",
+    "imitation",
+)  # tables as mimic, reconstruct and measure-mimicry call them
 EYES_DOWN_TO = (0.53, 0.45)  # share of the frame's height; of eye-to-philtrum, where there is a faceframe
 
 
@@ -41,7 +49,7 @@ class Motion:
 
     `components` says how many columns are known (the rest are 0); `places` (n,) which frame of the clip each row shows;
     `imitator` whose model the clip is read in or the table belongs to, where it is not the stimulus'; `outside` how
-    much of the frames the model cannot show (see STRANGE), where that was measured.
+    much of the frames the model cannot show (see `encoding.STRANGE`), where that was measured.
     """
 
     name: str
@@ -117,6 +125,7 @@ def opened(
         source = _table(Path(given), read_in, model, notes)
     else:
         clip = framed_for(read_in, (given,), None)
+        notes += notes_on_enlarging(clip.framing, read_in.identity, f"frames of the {role}")
         inputs = dict(zip(clip.names, clip.file_digests, strict=True))
         rate_hz = clip.clip.sidecar.frame_rate_hz
         unknown = np.zeros((len(clip.names), read_in.rank))
@@ -152,7 +161,21 @@ def _table(path: Path, model: MorphModel, stimulus: MorphModel, notes: list[str]
     check_reach(table.loadings_sd, table.frame_names, path)
     inputs = {path.name: digest_of_file(path)}
     places = np.arange(len(loadings))
-    return Motion(path.stem, table.frame_names, loadings, rate_hz, None, columns, places, inputs)
+    return Motion(
+        name_of_table(path, document), table.frame_names, loadings, rate_hz, None, columns, places, inputs
+    )
+
+
+def name_of_table(path: Path, document: Mapping[str, Any]) -> str:
+    """Give what people call the motion in a table: the file's name, or its folder's where verbs gave the file its name.
+
+    Where there is no folder to name it after, whose motion it is, as the sidecar `document` tells.
+    """
+    if path.stem not in NAMED_BY_VERBS:
+        return path.stem
+    folder = path.absolute().parent.name
+    whose = document.get("source_identity") or document.get("identity")
+    return folder or (whose if isinstance(whose, str) and whose else path.stem)
 
 
 def _other_table(path: Path, named: object, model: MorphModel, stimulus: MorphModel) -> str:
@@ -181,10 +204,9 @@ def measured(source: Motion, model: MorphModel, part: MaskedBasis | None) -> Ste
         return replace(source, loadings_sd=part.seen(source.loadings_sd * model.sd) / model.sd)
     rows: list[AnyArray] = []
     outside: list[float] = []
-    total = float(model.basis.variances.sum() + model.basis.discarded_variance)
     for loadings, left in _read(source.clip, model, part):
         rows.append(loadings)
-        outside.append(left / total)
+        outside.append(left)
         yield Step(f"encode {source.name}", len(rows), len(source.frame_names))
     return replace(source, loadings_sd=np.stack(rows) / model.sd, outside=float(np.median(outside)))
 
@@ -192,33 +214,20 @@ def measured(source: Motion, model: MorphModel, part: MaskedBasis | None) -> Ste
 def _read(
     clip: FramedClip, model: MorphModel, part: MaskedBasis | None
 ) -> Iterator[tuple[LoadingVector, float]]:
-    """Give for each frame its loadings (k,), and the energy of what the model cannot show of it."""
+    """Give for each frame its loadings (k,), and the energy of what the model cannot show of it, in its variances."""
     if part is None:
         for encoded in encoded_frames(model, clip):
-            offset = _offset(encoded.morph, model)
-            yield encoded.loadings.values[0], _left_over(offset, model)
+            yield encoded.loadings.values[0], energy_outside(encoded.morph - model.mean, model)
         return
     flow = model.flow_from_reference  # prepared once, and not by each thread
 
     def project(item: tuple[str, Image]) -> tuple[LoadingVector, float]:
         name, image = item
-        offset = _offset(model.morph_of(model.align(image, name).image, flow), model)
-        return part.project(offset), _left_over(offset, model)
+        offset = model.morph_of(model.align(image, name).image, flow) - model.mean
+        return part.project(vector_of(offset.texture, offset.displacement)), energy_outside(offset, model)
 
     indices = list(range(len(clip.names)))
     yield from in_order(project, zip(clip.names, clip.images(indices), strict=True))
-
-
-def _offset(morph: Morph, model: MorphModel) -> AnyArray:
-    offset = morph - model.mean
-    return vector_of(offset.texture, offset.displacement)
-
-
-def _left_over(offset: AnyArray, model: MorphModel) -> float:
-    """Give the energy of an offset (d,) outside the model's space (Moghaddam and Pentland 1997)."""
-    basis = model.basis
-    left = offset - basis.expand(basis.project(offset))
-    return float((basis.weight * left * left).sum(dtype=np.float64))
 
 
 def _carried(source: Motion, imitator: Imitator, model: MorphModel) -> Steps[Motion]:

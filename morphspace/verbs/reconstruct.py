@@ -8,7 +8,6 @@ from pathlib import Path
 import numpy as np
 
 from morphspace import warp
-from morphspace.errors import BadInput
 from morphspace.files.images import write_image
 from morphspace.files.tables import write_metrics_table
 from morphspace.measure import psnr_db, rms_px, ssim
@@ -16,7 +15,14 @@ from morphspace.model import load_model
 from morphspace.progress import Step, Steps
 from morphspace.storage import digest_of_file
 from morphspace.verbs.encode import write_loadings
-from morphspace.verbs.encoding import encoded_frames, framed_for, joined
+from morphspace.verbs.encoding import (
+    encoded_frames,
+    first_components,
+    framed_for,
+    joined,
+    notes_on_alignment,
+    notes_on_enlarging,
+)
 from morphspace.verbs.outcome import Outcome, check_folder, picture_names, write_record
 
 
@@ -34,14 +40,7 @@ class ReconstructRequest:
 def run(request: ReconstructRequest) -> Steps[Outcome]:
     """Write aligned/, reconstructed/, placed/, metrics.csv and loadings.csv. Returns an `Outcome`."""
     whole = load_model(request.model)
-    model = whole
-    if request.components is not None:
-        if not 1 <= request.components <= model.rank:
-            raise BadInput(
-                f"cannot reconstruct from {request.components} components, {model.identity} has {model.rank}: "
-                f"choose 1 to {model.rank}"
-            )
-        model = whole.truncate(request.components)
+    model, notes = first_components(whole, request.components)
     source = framed_for(model, request.sources, request.crop)
     folders = {name: request.output / name for name in ("aligned", "reconstructed", "placed")}
     for folder in folders.values():
@@ -98,4 +97,5 @@ def run(request: ReconstructRequest) -> Steps[Outcome]:
         "psnr_db_median": float(np.median(psnr)),
         "psnr_db_10th_percentile": float(np.percentile(psnr, 10)),
     }
-    return Outcome(lines, document, (), (*written, record))
+    notes += notes_on_enlarging(source.framing, model.identity) + notes_on_alignment(model)
+    return Outcome(lines, document, notes, (*written, record))
