@@ -6,6 +6,7 @@ smoothed afterwards. Our presets get colour, and those that use it once more the
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -150,14 +151,19 @@ def in_grey(name: str) -> str:
 
 @contextmanager
 def one_thread() -> Iterator[None]:
-    """Let OpenCV and numpy work on one thread for a while."""
+    """Let OpenCV and numpy work on one thread for a while, on one core where the system can say so."""
     threads = cv2.getNumThreads()
+    cores = os.sched_getaffinity(0) if hasattr(os, "sched_getaffinity") else set()
     cv2.setNumThreads(1)
+    if cores:
+        os.sched_setaffinity(0, {max(cores)})
     try:
         with threadpool_limits(limits=1):
             yield
     finally:
         cv2.setNumThreads(threads)
+        if cores:
+            os.sched_setaffinity(0, cores)
 
 
 def errors_of(prepare: Prepare, pairs: Sequence[FlowPair]) -> list[FlowErrors]:

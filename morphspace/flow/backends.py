@@ -31,6 +31,7 @@ MEDIAN_PX = 5  # a side; OpenCV's largest for float32
 EDGE_PX = 1.5  # that a step of `edge_codes` is worth to the recursive smoother
 KEPT_BYTES, LARGEST_KEPT_BYTES = 2**28, 2**25  # in all, and of one block; the library allows no larger
 M_TRIM_THRESHOLD, M_MMAP_THRESHOLD = -1, -3  # as malloc.h of Linux has them
+SMALL_PX = 4096  # below it a call costs more than the work
 STRIP_PX = 2**14  # nine derivatives of three colours are 1.8 MB
 _CREATING = threading.Lock()
 
@@ -148,6 +149,12 @@ class OpenCVBackend:
         return planes
 
     def filtered(self, planes: AnyArray, across: AnyArray, down: AnyArray) -> AnyArray:
+        count, height, width = planes.shape
+        reach = len(down) // 2
+        if count > 1 and height * width <= SMALL_PX and reach < height:
+            tall = _mirrored_rows(planes, reach).reshape(-1, width)
+            tall = cv2.sepFilter2D(tall, cv2.CV_32F, across, down, borderType=BORDER)
+            return tall.reshape(count, -1, width)[:, reach : reach + height]
         out = np.empty_like(planes)
         for plane, target in zip(planes, out, strict=True):
             cv2.sepFilter2D(plane, cv2.CV_32F, across, down, dst=target, borderType=BORDER)
@@ -209,7 +216,7 @@ class OpenCVBackend:
         return out
 
     def dot(self, a: AnyArray, b: AnyArray) -> AnyArray:
-        out: AnyArray = np.einsum("ncij,ncij->nij", a, b)
+        out: AnyArray = a[:, 0] * b[:, 0] if a.shape[1] == 1 else np.einsum("ncij,ncij->nij", a, b)
         return out
 
     def weighted_dot(self, weights: AnyArray, a: AnyArray, b: AnyArray) -> AnyArray:
@@ -229,6 +236,17 @@ def _keep_freed_memory() -> None:
         tune = ctypes.CDLL(None).mallopt
         tune(M_MMAP_THRESHOLD, LARGEST_KEPT_BYTES)
         tune(M_TRIM_THRESHOLD, KEPT_BYTES)
+
+
+def _mirrored_rows(planes: AnyArray, reach: int) -> AnyArray:
+    """Give the planes (c, h, w) with `reach` < h more rows above and below, mirrored about the outermost."""
+    count, height, width = planes.shape
+    out = np.empty((count, height + 2 * reach, width), np.float32)
+    out[:, reach : reach + height] = planes
+    if reach:
+        out[:, :reach] = planes[:, reach:0:-1]
+        out[:, -reach:] = planes[:, -2 : -2 - reach : -1]
+    return out
 
 
 def _resized(planes: AnyArray, height: int, width: int, interpolation: int) -> AnyArray:

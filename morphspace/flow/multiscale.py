@@ -120,8 +120,8 @@ def matcher(reference: Image, preset: Preset, backend: Backend) -> FlowFunction:
             suspects = suspects_when_enlarged(found, height, width)
             displacement = cv2.merge(tuple(backend.numpy(_resized_field(field, height, width, backend))))
             displacement = unfolded(displacement, suspects) if suspects else displacement
-        confidence = backend.resized_linearly(confidence[None], height, width)
-        return Flow(displacement, np.clip(backend.numpy(confidence)[0], 0, 1))
+        confidence = backend.resized_linearly(confidence[None].clip(0, 1), height, width)
+        return Flow(displacement, backend.numpy(confidence)[0])
 
     return to_frame
 
@@ -273,10 +273,8 @@ def _resized_field(field: Planes, height: int, width: int, backend: Backend) -> 
     old_height, old_width = field.shape[1:]
     if (old_height, old_width) == (height, width):
         return field
-    field = backend.resized_linearly(field, height, width)
-    field[0] *= width / old_width
-    field[1] *= height / old_height
-    return field
+    longer = backend.planes(np.array([[[width / old_width]], [[height / old_height]]]))
+    return backend.resized_linearly(field * longer, height, width)
 
 
 def _refined(
