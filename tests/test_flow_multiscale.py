@@ -213,11 +213,34 @@ def test_a_field_scales_with_its_picture():
     assert_array_equal(field[1], 3)
 
 
+@pytest.mark.parametrize("name", PRESETS)
+@pytest.mark.parametrize(("right", "down"), [(24, 0), (-14, 20)])
+def test_a_camera_that_moved_by_a_fifth_is_followed(picture, name, right, down):
+    reference, frame, truth, inside = moved(picture, right, down, size=112, sd_px=2.0)
+    miss = apart(field_of(name, reference, frame), truth)[inside]
+    assert np.median(miss) < 0.1  # px
+    assert np.quantile(miss, 0.9) < 1  # the rest lies beside what has left the frame
+
+
+def test_one_shift_is_taken_only_where_it_makes_pictures_alike(picture):
+    def planes(image):
+        out = 255 * np.ascontiguousarray(image.transpose(2, 0, 1))
+        return out - np.median(out, axis=(1, 2), keepdims=True)
+
+    canvas, other = picture(60, 52, seed=3, sd_px=2.0), picture(40, 36, seed=4, sd_px=2.0)
+    reference, moved_on = canvas[10:50, 8:44], canvas[4:44, 13:49]
+    assert_array_equal(multiscale._shift(planes(reference), planes(moved_on))[:, 0, 0], (-5, 6))
+    assert multiscale._shift(planes(reference), planes(reference)) is None
+    assert multiscale._shift(planes(reference), planes(0.5 * reference + 0.1)) is None
+    assert multiscale._shift(planes(reference), planes(other)) is None
+
+
 # starts
 
 
 @pytest.mark.parametrize("name", PRESETS)
-def test_a_right_start_is_taken_up_where_coarse_to_fine_is_lost(picture, wavy_field, name):
+def test_a_right_start_is_taken_up_where_coarse_to_fine_is_lost(picture, wavy_field, name, monkeypatch):
+    monkeypatch.setattr(multiscale, "_shift", lambda reference, frame: None)  # it would find this one
     reference, frame, truth, inside = moved(picture, 30, 0, size=112, sd_px=2.0)
     rough = truth + wavy_field(112, 112, 1.0, seed=8, sd_px=8.0)
     to_frame = METHODS[name](reference)

@@ -61,6 +61,10 @@ LEAST_CONTRAST = (
     0.02  # of a pixel's channels, which sum to the weights where there is texture; a half at this
 )
 MISSED_PX = 4.0  # of the way there and back at which confidence is a half and falls off fast
+SHIFTED = (
+    0.3  # squared difference over the sum of squares, at the coarsest scale, from which a shift is sought
+)
+CLOSER = 0.5  # and the share of one less the correlation that it has to leave
 UNLIKE_PX = 0.7  # the same for the channels, rms; those of two unrelated textures miss by a pixel and more
 
 
@@ -84,7 +88,7 @@ def method(preset: Preset, backend: Backend | None = None) -> FlowMethod:
 def matcher(reference: Image, preset: Preset, backend: Backend) -> FlowFunction:
     """Prepare a reference (h, w, 3), and give the function that finds frames from it.
 
-    Its pyramid is OpenCV's with every backend: smoothers round their guides to whole codes, and what two backends give
+    Pyramids are OpenCV's with every backend: smoothers round their guides to whole codes, and what two backends give
     a little differently would now and then be rounded to different ones.
     """
     reference = checked_picture(reference, "the reference")
@@ -105,14 +109,18 @@ def matcher(reference: Image, preset: Preset, backend: Backend) -> FlowFunction:
 
     def to_frame(frame: Image, start: Displacement | None = None) -> Flow:
         frame = checked_frame(reference, frame)
-        planes = _colour_planes(frame, preset, backend)
+        planes = _colour_planes(frame, preset, common)
         if empty or _is_flat(planes):
             return unknown_flow(height, width)
-        target, _ = _pyramid(planes, preset, backend)
-        given = (
-            None if start is None else backend.planes(checked_start(start, height, width).transpose(2, 0, 1))
-        )
-        field, confidence = _matched(levels, target, preset, backend, given)
+        found_scales, _ = _pyramid(planes, preset, common)
+        target = [backend.planes(scaled) for scaled in found_scales]
+        given, first = None, None
+        if start is not None:
+            given = backend.planes(checked_start(start, height, width).transpose(2, 0, 1))
+        else:
+            shift = _shift(scales[-1], found_scales[-1])
+            first = None if shift is None else backend.planes(shift)
+        field, confidence = _matched(levels, target, preset, backend, given, first)
         found = backend.numpy(field)
         if found.shape[1:] == (height, width):
             displacement = unfolded(cv2.merge(tuple(found)))
@@ -124,6 +132,29 @@ def matcher(reference: Image, preset: Preset, backend: Backend) -> FlowFunction:
         return Flow(displacement, backend.numpy(confidence)[0])
 
     return to_frame
+
+
+def _shift(reference: AnyArray, frame: AnyArray) -> AnyArray | None:
+    """Give the field (2, h, w) of one shift between two small pictures (c, h, w), where only that makes them alike.
+
+    The flow finds motions of a few pixels of its coarsest scale. Where a camera moved further, nothing is alike as the
+    pictures lie; the middle of the reference is then looked up in the whole frame by normalised correlation.
+    """
+    unlike = float(((reference - frame) ** 2).sum())
+    if unlike < SHIFTED * float((reference**2).sum() + (frame**2).sum()):
+        return None
+    _, height, width = reference.shape
+    top, left = height // 4, width // 4
+    middle = reference[:, top : height - top, left : width - left]
+    likeness = cv2.matchTemplate(
+        cv2.merge(tuple(frame)), cv2.merge(tuple(np.ascontiguousarray(middle))), cv2.TM_CCOEFF_NORMED
+    )
+    _, most, _, (across, down) = cv2.minMaxLoc(likeness)
+    if 1 - most > CLOSER * (1 - float(likeness[top, left])):
+        return None
+    out = np.empty((2, height, width), np.float32)
+    out[0], out[1] = across - left, down - top
+    return out
 
 
 def _smoother(guide: Planes, preset: Preset, backend: Backend) -> Callable[[Planes], Planes]:
@@ -201,16 +232,20 @@ def _matched(
     preset: Preset,
     backend: Backend,
     start: Planes | None,
+    first: Planes | None,
 ) -> tuple[Planes, Planes]:
-    """Find the field at the finest level, and its confidence (h, w): likeness, times agreement with the way back."""
+    """Find the field at the finest level, and its confidence (h, w): likeness, times agreement with the way back.
+
+    `start` is a field of any size that pixels may take over, `first` the field of the coarsest level to begin from.
+    """
     sizes = [max(level.planes.shape[1:]) for level in levels]
     coarsest = len(levels) - (1 if preset.checked_px else 0)  # of a long strip, none may be small enough
     checked = next((n for n, size in enumerate(sizes) if size <= preset.checked_px), coarsest)
-    field: Any = None
+    field: Any = first
     trust: Any = None
     alike: Any = None
     if checked < len(levels):
-        field, alike = _descend(levels, target, len(levels), checked, None, start, preset, backend)
+        field, alike = _descend(levels, target, len(levels), checked, field, start, preset, backend)
         trust = _trust(levels[checked], target[checked], field, sizes[0] / sizes[checked], preset, backend)
     if checked > 0:
         field, alike = _descend(levels, target, min(checked, len(levels)), 0, field, start, preset, backend)
