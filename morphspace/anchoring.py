@@ -60,9 +60,12 @@ class FaceAnchor:
     finder: FaceFinder
     face: FacePoints
 
-    def movement(self, image: Image) -> Affine | None:
-        """Give where the registration of an image may start, (2, 3); None where no face is found in it."""
-        found = self.finder.find(image)
+    def movement(self, image: Image, found: FacePoints | None = None) -> Affine | None:
+        """Give where the registration of an image may start, (2, 3); None where no face is found in it.
+
+        `found` is what `finder` found in it, looked for where None.
+        """
+        found = found or self.finder.find(image)
         return None if found is None else rigid_movement(self.face, found)
 
     def anchored(self, find: FlowFunction, height: int, width: int) -> FlowFunction:

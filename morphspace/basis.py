@@ -19,6 +19,7 @@ from morphspace.errors import BadInput
 from morphspace.rows import ColumnBlocks, column_ranges
 
 RANK_TOL = 1e-10  # of the largest eigenvalue; below it float32 rounding of the offsets is all there is
+ALL = slice(None)
 CONSTANT_TOL = 1e-11  # of the data's own energy; frames that agree to float32 have no component at all
 
 
@@ -51,9 +52,12 @@ class Basis:
         """Give the loadings of mean-relative vectors (..., d): inner products with each component, (..., k)."""
         return np.asarray((offsets * self.weight) @ self.components.T, np.float64)
 
-    def expand(self, loadings: AnyArray) -> AnyArray:
-        """Give the mean-relative vectors (..., d) float32 of loadings (..., k): Nagle's R = P l."""
-        return np.asarray(np.asarray(loadings, np.float32) @ self.components)
+    def expand(self, loadings: AnyArray, columns: slice = ALL) -> AnyArray:
+        """Give the mean-relative vectors (..., d) float32 of loadings (..., k): Nagle's R = P l.
+
+        Or only these of their `columns`.
+        """
+        return np.asarray(np.asarray(loadings, np.float32) @ self.components[:, columns])
 
     def truncate(self, components: int) -> Basis:
         """Keep the first `components`; the variance of the others is added to what is discarded."""

@@ -237,7 +237,7 @@ def render(model: Path, table: Path, **options: Any) -> Steps[Outcome]:
 @click.option(
     "-o", "--output", type=click.Path(path_type=Path), required=True, help="The folder to write into."
 )
-@click.option("-k", "--components", type=int, help="Use only the first components [default: all].")
+@click.option("-k", "--components", type=int, help="At most so many components, the first [default: all].")
 @CROPPED
 @verb
 def reconstruct(model: Path, clip: tuple[str, ...], **options: Any) -> Steps[Outcome]:

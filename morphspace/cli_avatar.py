@@ -8,8 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from morphspace.cli_words import WeightOrAuto
-from morphspace.flow.names import DEFAULT, NAMES
+from morphspace.cli_words import BUILD_REPORT, COMPONENTS, WeightOrAuto, flow_option, work_option
 
 if TYPE_CHECKING:
     from morphspace.progress import Steps
@@ -103,20 +102,15 @@ OPTIONS = (
         metavar="NAME|flat",
         help="Whose hair, neck and background stay, or flat grey [default: the reference identity's].",
     ),
+    flow_option("The flow estimator, between the people and of the final model."),
+    COMPONENTS,
     click.option(
-        "--flow",
-        type=click.Choice(NAMES),
-        default=DEFAULT,
-        show_default=True,
-        help="The flow estimator, between the people and of the final model.",
-    ),
-    click.option(
-        "-k",
-        "--components",
-        type=click.IntRange(1, 10_000),
-        default=50,
-        show_default=True,
-        help="The most components to keep.",
+        "--clips",
+        "clips",
+        multiple=True,
+        metavar="CLIP",
+        help="The clip a model was built from, once for each model in their order: its frames are used as they are, "
+        "not as the model draws them.",
     ),
     click.option(
         "--landmarks",
@@ -126,12 +120,8 @@ OPTIONS = (
         help="Whether the face is looked for in the blended pictures.",
     ),
     click.option("--identity", default="avatar", show_default=True, help="What the avatar is called."),
-    click.option(
-        "--work-dir", "work_folder", type=click.Path(path_type=Path), help="Keep finished blends here."
-    ),
-    click.option(
-        "--report", type=click.Path(path_type=Path), help="The HTML report [default: beside the model]."
-    ),
+    work_option("blends"),
+    BUILD_REPORT,
 )
 """In the order of the help."""
 
@@ -139,11 +129,13 @@ OPTIONS = (
 def add_avatar(group: click.Group, verb: Callable[[Callable[..., Any]], Callable[..., None]]) -> None:
     """Add `blend-avatar` to the group; `verb` gives a command the options all verbs share and runs its steps."""
 
-    def blend_avatar(expressions: int, **options: Any) -> Steps[Outcome]:
+    def blend_avatar(expressions: int, clips: tuple[str, ...], **options: Any) -> Steps[Outcome]:
         """Blend the identities of several models with keypoints into one face that belongs to nobody."""
         from morphspace.verbs import blend_avatar as verb_module
 
-        request = verb_module.BlendAvatarRequest(expressions=expressions or None, **options)
+        request = verb_module.BlendAvatarRequest(
+            expressions=expressions or None, clips=clips or None, **options
+        )
         return verb_module.run(request)
 
     command: Callable[..., Any] = verb(blend_avatar)

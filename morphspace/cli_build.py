@@ -8,8 +8,7 @@ from typing import Any
 
 import click
 
-from morphspace.cli_words import CROP, SIZE, WeightOrAuto
-from morphspace.flow.names import DEFAULT, NAMES
+from morphspace.cli_words import BUILD_REPORT, COMPONENTS, CROP, SIZE, WeightOrAuto, flow_option, work_option
 
 
 class CropOrAuto(click.ParamType):  # type: ignore[type-arg]
@@ -30,14 +29,7 @@ OPTIONS = (
     click.option(
         "-o", "--output", type=click.Path(path_type=Path), help="The .morph file [default: the clip's name]."
     ),
-    click.option(
-        "-k",
-        "--components",
-        type=click.IntRange(1, 10_000),
-        default=50,
-        show_default=True,
-        help="The most components to keep.",
-    ),
+    COMPONENTS,
     click.option("--size", type=SIZE, help="Model frame size; scales to cover and crops to the middle."),
     click.option(
         "--crop",
@@ -66,13 +58,7 @@ OPTIONS = (
         show_default=True,
         help="How head movement is taken out.",
     ),
-    click.option(
-        "--flow",
-        type=click.Choice(NAMES),
-        default=DEFAULT,
-        show_default=True,
-        help="The flow estimator, as in `morphspace flow`.",
-    ),
+    flow_option("The flow estimator, as in `morphspace flow`."),
     click.option(
         "--start",
         type=click.Choice(["auto", "none"]),
@@ -87,13 +73,9 @@ OPTIONS = (
         show_default=True,
         help="Colour per px of warp in the inner product; auto cross-validates.",
     ),
-    click.option(
-        "--work-dir", "work_folder", type=click.Path(path_type=Path), help="Keep finished frames here."
-    ),
+    work_option("frames"),
     click.option("--identity", help="Who it is [default: from clip.json, else the clip's name]."),
-    click.option(
-        "--report", type=click.Path(path_type=Path), help="The HTML report [default: beside the model]."
-    ),
+    BUILD_REPORT,
 )
 """In the order of the help."""
 

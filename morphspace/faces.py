@@ -274,13 +274,20 @@ def _anchor_points(reference: Image, region: Mask) -> tuple[Points, AnyArray]:
 
 def _robust_affine(source: Points, target: Points, prior: AnyArray, kind: RegistrationKind) -> Affine:
     fit = _similarity if kind == "similarity" else _affine
+    source, target = np.ascontiguousarray(source.T), np.ascontiguousarray(target.T)  # (2, m): half the time
     weight = prior
     found = identity_affine()
     for _ in range(ROBUST_PASSES):
         found = fit(source, target, weight)
-        residual = np.hypot(*(target - warp.apply_affine(found, source)).T)
-        scale = max(SCALE_FLOOR_PX, 1.4826 * float(np.median(residual)))
-        weight = prior / (1 + (residual / scale) ** 2) ** 2
+        apart = target - found[:, :2] @ source
+        apart -= found[:, 2:]
+        apart *= apart
+        square = apart[0] + apart[1]
+        scale = max(SCALE_FLOOR_PX, 1.4826 * float(np.median(np.sqrt(square))))
+        square /= scale**2
+        square += 1
+        square *= square
+        weight = prior / square
     return found
 
 
@@ -289,12 +296,12 @@ def fitted_similarity(source: Points, target: Points) -> Affine:
     return _robust_affine(source, target, np.ones(len(source)), "similarity")
 
 
-def _similarity(source: Points, target: Points, weight: AnyArray) -> Affine:
-    """Fit scale, turn and shift by weighted least squares (Umeyama 1991, without reflection)."""
+def _similarity(source: AnyArray, target: AnyArray, weight: AnyArray) -> Affine:
+    """Fit scale, turn and shift of points (2, m) by weighted least squares (Umeyama 1991, without reflection)."""
     total = weight.sum()
-    from_mean, to_mean = weight @ source / total, weight @ target / total
-    a, b = source - from_mean, target - to_mean
-    products = (a * weight[:, None]).T @ np.hstack([a, b])  # (2, 4): this runs some forty times a frame
+    from_mean, to_mean = source @ weight / total, target @ weight / total
+    both = np.concatenate([source - from_mean[:, None], target - to_mean[:, None]])
+    products = (both[:2] * weight) @ both.T  # (2, 4): this runs some forty times a frame
     spread = products[0, 0] + products[1, 1]
     cosine = (products[0, 2] + products[1, 3]) / spread
     sine = (products[0, 3] - products[1, 2]) / spread
@@ -302,10 +309,10 @@ def _similarity(source: Points, target: Points, weight: AnyArray) -> Affine:
     return np.column_stack([linear, to_mean - linear @ from_mean])
 
 
-def _affine(source: Points, target: Points, weight: AnyArray) -> Affine:
+def _affine(source: AnyArray, target: AnyArray, weight: AnyArray) -> Affine:
     root = np.sqrt(weight)[:, None]
-    design = np.column_stack([source, np.ones(len(source))])
-    solution, *_ = np.linalg.lstsq(design * root, target * root, rcond=None)
+    design = np.column_stack([source.T, np.ones(len(weight))])
+    solution, *_ = np.linalg.lstsq(design * root, target.T * root, rcond=None)
     return np.asarray(solution.T)
 
 

@@ -172,6 +172,16 @@ def required_faceframe(model: MorphModel) -> FaceFrame:
     return model.faceframe
 
 
+def required_landmarks(model: MorphModel) -> LandmarkRegression:
+    """Give the landmark regression of a model. Raises `BadInput` with the command that learns it where it has none."""
+    if model.landmarks is None:
+        raise BadInput(
+            f"the model of {model.identity} does not know where its landmarks lie: run `morphspace keypoints MODEL "
+            "--auto` on it, or choose a method that needs none"
+        )
+    return model.landmarks
+
+
 def lip_of(model: MorphModel) -> Lip:
     """Give what the third point of a model's faceframe marks; the philtrum where nothing else is recorded."""
     origin = model.provenance.get("keypoints")

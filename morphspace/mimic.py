@@ -15,7 +15,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Literal, get_args
+from typing import Literal, Protocol, get_args
 
 import cv2
 import numpy as np
@@ -24,15 +24,20 @@ from morphspace import warp
 from morphspace.arrays import Affine, AnyArray, Displacement, LoadingVector, Mask
 from morphspace.errors import BadInput
 from morphspace.facepoints import LEFT_BROW, LEFT_LIDS, LIPS, RIGHT_BROW, RIGHT_LIDS
-from morphspace.flow.folds import unfolded
-from morphspace.keypoints import affine_between_models, landmarks_of, required_faceframe
-from morphspace.landmarks import LandmarkRegression, landmark_places
+from morphspace.keypoints import (
+    affine_between_models,
+    landmarks_of,
+    required_faceframe,
+    required_landmarks,
+)
+from morphspace.landmarks import landmark_places
 from morphspace.model import MorphModel
 from morphspace.morph import Morph, MorphOffset, parts_of, vector_of
 from morphspace.posterior import Guide, InnerProducts, Solver, bounded
 from morphspace.recentring import Recentring
 from morphspace.reference import spread
 from morphspace.texturing import Texturing
+from morphspace.unshown import unshown_of
 
 Method = Literal["paper", "map", "transfer", "guided"]
 METHODS: tuple[Method, ...] = get_args(Method)
@@ -44,10 +49,6 @@ MISMATCH = (
 FEATURES = (*RIGHT_LIDS, *LEFT_LIDS, *RIGHT_BROW, *LEFT_BROW, *LIPS)
 FEATURE_WEIGHT = 30.0  # of a point on them, beside skin's 1; 20 to 100 gave like faces
 FEATURE_REACH = 0.06  # sd, of the eye distance
-REST_SHARE = (
-    0.5  # of the motion the components cannot express; all of it carries the source's errors over too
-)
-REST_LIMIT = 0.06  # of the eye distance: what is added back bends towards it, so that no gain tears a face
 GUIDES = (
     "lids",
     "inner lips",
@@ -141,8 +142,15 @@ class Passage:
         )
 
 
-Mimic = Callable[[MorphOffset], Mimicry]
-"""Turns a difference from the source's mean into a face of the target."""
+class Mimic(Protocol):
+    """Turns a difference from the source's mean into a face of the target."""
+
+    def __call__(self, offset: MorphOffset, loadings: LoadingVector | None = None) -> Mimicry:
+        """Give the face. `loadings` (k_A,) are the offset's on the source's components, read from it where None."""
+
+
+Solve = Callable[[MorphOffset, AnyArray, LoadingVector | None], LoadingVector]
+"""Reads loadings (k_B,) from an offset of the source, the same carried (5 h w,), and its loadings where known."""
 
 
 def mimic(
@@ -171,50 +179,70 @@ def mimic(
     _ = passage.affine  # models that cannot be linked are refused here
     solve = _solve_of(passage, method)
     sd = target.sd
-    from_rest, to_rest = _rests(source, target, origin)
+    rests = _rests(source, target, origin)
     texturing = Texturing(target) if method in WITH_REST else None
+    unshown = unshown_of(target, passage.seen) if method in WITH_REST else None
+    at_rest = target.basis.expand(rests.to_loadings) if rests.to_loadings.any() else None
 
-    def to_target(offset: MorphOffset) -> Mimicry:
-        if from_rest is not None:
-            offset = offset - from_rest
+    def to_target(offset: MorphOffset, loadings: LoadingVector | None = None) -> Mimicry:
+        offset, loadings = rests.counted_from(offset, loadings)
         carried = passage.carried(offset)
         vector = vector_of(carried.texture, carried.displacement)
-        asked = gain * solve(offset, vector) + to_rest
-        loadings = sd * bounded(asked / sd, max_sd)
-        shown = target.basis.expand(loadings) if texturing is None else texturing.offset(loadings)
+        asked = gain * solve(offset, vector, loadings) + rests.to_loadings
+        made = sd * bounded(asked / sd, max_sd)
+        shown = target.basis.expand(made) if texturing is None else texturing.offset(made)
         texture, displacement = parts_of(shown, *target.mask.shape)
         morph = target.mean + MorphOffset(displacement, texture, target.mean.reference_id)
-        if method in WITH_REST:
-            wanted = gain * carried.displacement
-            if to_rest.any():
-                wanted = wanted + offset_of(target, to_rest).displacement
-            morph = _with_rest(passage, wanted, morph)
-        followed = shown - target.basis.expand(to_rest) if to_rest.any() else shown
-        return Mimicry(loadings, morph, _quality(target, vector, followed, asked, loadings, morph))
+        if unshown is not None:
+            wanted = np.float32(gain) * carried.displacement
+            if at_rest is not None:
+                wanted += parts_of(at_rest, *target.mask.shape)[1]
+            wanted -= displacement
+            morph = unshown.added(wanted, morph)
+        followed = shown if at_rest is None else shown - at_rest
+        return Mimicry(made, morph, _quality(target, vector, followed, asked, made, morph))
 
     return to_target
 
 
-def _rests(
-    source: MorphModel, target: MorphModel, origin: Recentring | None
-) -> tuple[MorphOffset | None, LoadingVector]:
-    """Give what is taken off the source's faces, and the loadings (k_B,) that are added to the target's."""
+@dataclass(frozen=True, eq=False)
+class Rests:
+    """What is taken off the source's faces: an offset and its loadings (k_A,), None for nothing; and the loadings
+    (k_B,) that are added to the target's.
+    """
+
+    from_offset: MorphOffset | None
+    from_loadings: LoadingVector
+    to_loadings: LoadingVector
+
+    def counted_from(
+        self, offset: MorphOffset, loadings: LoadingVector | None
+    ) -> tuple[MorphOffset, LoadingVector | None]:
+        """Take it off a face of the source, and off its loadings where they are known."""
+        if self.from_offset is None:
+            return offset, loadings
+        return offset - self.from_offset, None if loadings is None else loadings - self.from_loadings
+
+
+def _rests(source: MorphModel, target: MorphModel, origin: Recentring | None) -> Rests:
     if origin is None:
-        return None, np.zeros(target.rank)
+        return Rests(None, np.zeros(source.rank), np.zeros(target.rank))
     for model, loadings in ((source, origin.source), (target, origin.target)):
         if loadings.shape != (model.rank,):
             raise BadInput(
                 f"the origin has {len(loadings)} loadings for {model.identity}, whose model has {model.rank} "
                 "components: make it from the same models"
             )
-    return offset_of(source, origin.source) if origin.source.any() else None, origin.target
+    return Rests(
+        offset_of(source, origin.source) if origin.source.any() else None, origin.source, origin.target
+    )
 
 
-def _solve_of(passage: Passage, method: Method) -> Callable[[MorphOffset, AnyArray], LoadingVector]:
-    """Give the function that reads loadings (k_B,) from an offset of the source and the same carried (5 h w,)."""
+def _solve_of(passage: Passage, method: Method) -> Solve:
     target = passage.target
     if method == "paper":
-        return lambda _, carried: target.basis.project(carried)
+        products = InnerProducts(target, target.basis.weight)
+        return lambda _offset, carried, _loadings: products.with_offset(carried)
     seen = passage.seen.reshape(-1)
     if method in WITH_REST:
         seen = seen * feature_weights(target).reshape(-1)
@@ -222,13 +250,14 @@ def _solve_of(passage: Passage, method: Method) -> Callable[[MorphOffset, AnyArr
     noise = MISMATCH * target.basis.discarded_variance
     if method != "guided":
         unguided = Solver(target, both, noise)
-        return lambda _, carried: unguided.loadings(carried)
+        return lambda _offset, carried, _loadings: unguided.loadings(carried)
     guide = guide_of(passage)
     solver = Solver(target, both, noise, guide)
     driving = InnerProducts(passage.source, passage.source.basis.weight)
 
-    def guided(offset: MorphOffset, carried: AnyArray) -> LoadingVector:
-        loadings = driving.with_offset(vector_of(offset.texture, offset.displacement))
+    def guided(offset: MorphOffset, carried: AnyArray, loadings: LoadingVector | None) -> LoadingVector:
+        if loadings is None:
+            loadings = driving.with_offset(vector_of(offset.texture, offset.displacement))
         return solver.loadings(carried, loadings @ guide.asked)
 
     return guided
@@ -240,7 +269,7 @@ def guide_of(passage: Passage) -> Guide:
     A landmark counts as its leave-one-out errors in both models allow. Raises `BadInput` where a model has no
     regression.
     """
-    learned = [_learned(model) for model in (passage.source, passage.target)]
+    learned = [required_landmarks(model) for model in (passage.source, passage.target)]
     linear = passage.affine[:, :2]
     weights, asked, precision = [], [], []
     for group in GUIDES:
@@ -254,15 +283,6 @@ def guide_of(passage: Passage) -> Guide:
         ]
         precision.append(np.repeat(GUIDE_TRUST / (errors[0] ** 2 + errors[1] ** 2), 2))
     return Guide(np.concatenate(weights, axis=1), np.concatenate(precision), np.concatenate(asked, axis=1))
-
-
-def _learned(model: MorphModel) -> LandmarkRegression:
-    if model.landmarks is None:
-        raise BadInput(
-            f"the model of {model.identity} does not know where its landmarks lie, which `guided` needs: run "
-            "`morphspace keypoints MODEL --auto` on it, or choose another method"
-        )
-    return model.landmarks
 
 
 def feature_weights(model: MorphModel) -> Mask:
@@ -284,21 +304,6 @@ def feature_weights(model: MorphModel) -> Mask:
     return 1 + np.float32(FEATURE_WEIGHT) * near
 
 
-def _with_rest(passage: Passage, wanted: Displacement, morph: Morph) -> Morph:
-    """Add a share of the wanted motion that the target's components cannot show, inside both masks, without folds.
-
-    It bends towards `REST_LIMIT`: little is added as it is, much is held back.
-    """
-    mean = passage.target.mean
-    inside = np.float32(REST_SHARE) * (passage.seen * passage.target.mask)[..., None]
-    rest = inside * (wanted - (morph.displacement - mean.displacement))
-    right, left, _ = required_faceframe(passage.target).points
-    limit_px = REST_LIMIT * float(np.hypot(*(left - right)))
-    rest /= np.sqrt(1 + (rest * rest).sum(axis=2, keepdims=True) / np.float32(limit_px**2))
-    moved = unfolded(morph.displacement + rest)
-    return Morph(moved, morph.texture, morph.reference_id)
-
-
 def _quality(
     target: MorphModel,
     offset: AnyArray,
@@ -311,8 +316,8 @@ def _quality(
     kept = []
     for part in (slice(0, 3 * height * width), slice(3 * height * width, None)):
         weight = target.basis.weight[part]
-        energy = float((weight * offset[part] ** 2).sum(dtype=np.float64))
-        left = float((weight * (offset[part] - shown[part]) ** 2).sum(dtype=np.float64))
+        energy = _energy(weight, offset[part])
+        left = _energy(weight, offset[part] - shown[part])
         kept.append(1 - left / energy if energy > 0 else 1.0)
     in_sd = np.abs(asked / target.sd)
     return Quality(
@@ -323,6 +328,10 @@ def _quality(
         bounded=int((np.abs(loadings) < 0.9 * np.abs(asked)).sum()),
         folds=warp.fold_fraction(morph.displacement, target.mask),
     )
+
+
+def _energy(weight: AnyArray, values: AnyArray) -> float:
+    return float(np.dot(weight * values, values))
 
 
 def offset_of(model: MorphModel, loadings: AnyArray) -> MorphOffset:
@@ -349,16 +358,16 @@ def auto_gain(
     passage = Passage(source, target)
     solve = _solve_of(passage, method)
     inside = (passage.seen * target.mask)[..., None]
-    from_rest, _ = _rests(source, target, origin)
+    rests = _rests(source, target, origin)
     asked, shown = 0.0, 0.0
     for index in spread(len(source.training.values), GAIN_FACES):
-        offset = offset_of(source, source.training.values[index])
-        if from_rest is not None:
-            offset = offset - from_rest
+        row = source.training.values[index]
+        offset, loadings = rests.counted_from(offset_of(source, row), row)
         carried = passage.carried(offset)
-        projected = offset_of(target, solve(offset, vector_of(carried.texture, carried.displacement)))
+        vector = vector_of(carried.texture, carried.displacement)
+        projected = target.basis.expand(solve(offset, vector, loadings), slice(3 * target.mask.size, None))
         asked += float((inside * carried.displacement**2).sum(dtype=np.float64))
-        shown += float((inside * projected.displacement**2).sum(dtype=np.float64))
+        shown += float((inside.reshape(-1, 1) * projected.reshape(-1, 2) ** 2).sum(dtype=np.float64))
     if shown == 0:
         return GAIN_RANGE[0]
     return float(np.clip(np.sqrt(asked / shown), *GAIN_RANGE))

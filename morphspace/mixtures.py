@@ -33,13 +33,14 @@ def nearest_mixture(apart: AnyArray, costs: AnyArray) -> AnyArray:
     if scale == 0:
         return weights
     gram[np.diag_indices(count)] += RIDGE * scale
+    double = 2 * gram
     taken = [start]
     for _ in range(STEPS):
-        wanted = _on_plane(gram, costs, taken)
+        wanted = _on_plane(double, costs, taken)
         now = weights[taken]
         if (wanted >= 0).all():
             weights[taken] = wanted
-            slope = 2 * gram @ weights + costs
+            slope = double @ weights + costs
             best = int(np.argmin(slope))
             if slope[best] >= float(slope[taken].min()) - RELATIVE_TOL * scale:
                 break
@@ -53,10 +54,14 @@ def nearest_mixture(apart: AnyArray, costs: AnyArray) -> AnyArray:
     return weights / weights.sum()
 
 
-def _on_plane(gram: AnyArray, costs: AnyArray, taken: list[int]) -> AnyArray:
-    """Give the weights (m,) of the faces taken, sum 1, at which the aim is least, negative ones allowed."""
+def _on_plane(double: AnyArray, costs: AnyArray, taken: list[int]) -> AnyArray:
+    """Give the weights (m,) of the faces taken, sum 1, at which the aim is least, negative ones allowed.
+
+    `double` (n, n) is twice the inner products of all faces.
+    """
     size = len(taken)
-    system = np.zeros((size + 1, size + 1))
-    system[:size, :size] = 2 * gram[np.ix_(taken, taken)]
-    system[:size, size] = system[size, :size] = 1.0
-    return np.linalg.solve(system, np.append(-costs[taken], 1.0))[:size]
+    system, told = np.ones((size + 1, size + 1)), np.ones(size + 1)
+    system[:size, :size] = double[taken][:, taken]
+    system[size, size] = 0.0
+    told[:size] = -costs[taken]
+    return np.linalg.solve(system, told)[:size]

@@ -19,6 +19,7 @@ from morphspace.anchoring import FaceAnchor, anchor_of_build, was_anchored
 from morphspace.arrays import Affine, AnyArray, Displacement, Image, LoadingTable, LoadingVector, Mask
 from morphspace.basis import Basis
 from morphspace.errors import BadInput, ReferenceMismatch
+from morphspace.facepoints import FacePoints
 from morphspace.faces import (
     FaceFrame,
     Frame,
@@ -126,13 +127,21 @@ class MorphModel:
         """The face in the reference, where the build looked for it and the detector is there; else None."""
         return anchor_of_build(self.reference, self.provenance)
 
-    def align(self, image: Image, name: str = "image") -> Frame:
-        """Bring an image (h, w, 3) of the model's size to the reference, as the build did with its frames."""
+    @cached_property
+    def _rigid_region(self) -> Mask:
+        return rigid_region(self.size[1], self.size[0], self.reference_faceframe)
+
+    def align(self, image: Image, name: str = "image", found: FacePoints | None = None) -> Frame:
+        """Bring an image (h, w, 3) of the model's size to the reference, as the build did with its frames.
+
+        `found` is what the `anchor`'s detector found in the image, where it has been asked already.
+        """
         self._check_size(image, name)
-        height, width = self.mask.shape
-        region = rigid_region(height, width, self.reference_faceframe)
-        start = None if self.anchor is None or self.registration == "none" else self.anchor.movement(image)
-        return aligned(image, name, register(self.reference, image, self.registration, region, start))
+        anchor = None if self.registration == "none" else self.anchor
+        start = None if anchor is None else anchor.movement(image, found)
+        return aligned(
+            image, name, register(self.reference, image, self.registration, self._rigid_region, start)
+        )
 
     def morph_of(self, image: Image, flow: FlowFunction | None = None) -> Morph:
         """Take an aligned image apart on the mean face: flow from the reference, re-sourced, then its texture."""

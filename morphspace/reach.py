@@ -7,12 +7,12 @@ motion is looked at where expressions are read, in units of the face, and of the
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 
-from morphspace.arrays import AnyArray
+from morphspace.arrays import AnyArray, LoadingVector
 from morphspace.keypoints import affine_between_models, required_faceframe
 from morphspace.landmarks import landmark_places, ring_gaps
 from morphspace.mimic import FEATURE_WEIGHT, Mimicry, Passage, feature_weights
@@ -42,8 +42,11 @@ class Reach:
     opening_beyond: float | None = None
 
 
-ReachOf = Callable[[MorphOffset, Mimicry], Reach]
-"""Judges what a difference from the source's mean became."""
+class ReachOf(Protocol):
+    """Judges what a difference from the source's mean became."""
+
+    def __call__(self, offset: MorphOffset, mimicry: Mimicry, loadings: LoadingVector | None = None) -> Reach:
+        """Give the reach. `loadings` (k_A,) are the offset's on the source's components, read from it where None."""
 
 
 def reach_of(
@@ -65,12 +68,12 @@ def reach_of(
     components = np.array(target.basis.components[:, columns])
     at_rest = np.zeros((len(places), 2), np.float32)
     coloured = np.zeros_like(target.mean.texture)
-    openings = openings_of(source, target)
+    openings = openings_of(source, target, rest)
     if rest is not None:
         at_rest = rest[1].displacement.reshape(-1, 2)[places]
         coloured = rest[1].texture
 
-    def reach(offset: MorphOffset, mimicry: Mimicry) -> Reach:
+    def reach(offset: MorphOffset, mimicry: Mimicry, loadings: LoadingVector | None = None) -> Reach:
         asked = passage.carried(offset if rest is None else offset - rest[0]) * gain
         shown = (np.asarray(mimicry.loadings, np.float32) @ components).reshape(-1, 2)
         missing = asked.displacement.reshape(-1, 2)[places] + at_rest - shown
@@ -79,7 +82,7 @@ def reach_of(
         return Reach(
             float(np.quantile(lengths, WORST)) / eyes_px if len(lengths) else 0.0,
             _agreement(skin * asked.texture, skin * texture),
-            None if openings is None else openings.beyond(offset, gain, rest),
+            None if openings is None else openings.beyond(offset, gain, loadings),
         )
 
     return reach
@@ -89,28 +92,33 @@ def reach_of(
 class Openings:
     """How far the lips stand open, from the landmark regressions of both models, in eye distances of the target.
 
-    `asked` (k_A,) and `shown` (k_B,) per loading, the former after the affine | `most`, the widest of the target's
-    training faces. All relative to the means.
+    `asked` (k_A,) per loading of the source, after the affine | `at_rest`, of the faces of source and target that count
+    as rest | `most`, the widest of the target's training faces. All relative to the means.
     """
 
     source: InnerProducts
-    target: InnerProducts
     asked: AnyArray
-    shown: AnyArray
+    at_rest: tuple[float, float]
     most: float
 
-    def beyond(self, offset: MorphOffset, gain: float, rest: tuple[MorphOffset, MorphOffset] | None) -> float:
-        """Give how much wider than `most` an offset of the source asks the lips to open."""
-        moved = self._opens(self.source, self.asked, offset if rest is None else offset - rest[0])
-        at_rest = 0.0 if rest is None else self._opens(self.target, self.shown, rest[1])
-        return gain * moved + at_rest - self.most
+    def beyond(self, offset: MorphOffset, gain: float, loadings: LoadingVector | None = None) -> float:
+        """Give how much wider than `most` an offset of the source asks the lips to open.
 
-    def _opens(self, products: InnerProducts, per_loading: AnyArray, offset: MorphOffset) -> float:
-        return float(products.with_offset(vector_of(offset.texture, offset.displacement)) @ per_loading)
+        `loadings` (k_A,) are its own, read from it where None.
+        """
+        if loadings is None:
+            loadings = self.source.with_offset(vector_of(offset.texture, offset.displacement))
+        from_rest, to_rest = self.at_rest
+        return gain * (float(loadings @ self.asked) - from_rest) + to_rest - self.most
 
 
-def openings_of(source: MorphModel, target: MorphModel) -> Openings | None:
-    """Prepare what tells how far the lips open; None where a model does not know its landmarks."""
+def openings_of(
+    source: MorphModel, target: MorphModel, rest: tuple[MorphOffset, MorphOffset] | None = None
+) -> Openings | None:
+    """Prepare what tells how far the lips open; None where a model does not know its landmarks.
+
+    `rest` as `reach_of` has it.
+    """
     if source.landmarks is None or target.landmarks is None:
         return None
     right, left, lip = required_faceframe(target).points
@@ -121,13 +129,15 @@ def openings_of(source: MorphModel, target: MorphModel) -> Openings | None:
     asked = (
         ring_gaps(source.landmarks.weights[:, landmark_places("inner lips")]).mean(axis=1) @ linear.T @ down
     )
-    return Openings(
-        InnerProducts(source, source.basis.weight),
-        InnerProducts(target, target.basis.weight),
-        asked,
-        shown,
-        float((target.training.values @ shown).max(initial=0.0)),
-    )
+    at_rest = (0.0, 0.0)
+    if rest is not None:
+        loadings = [
+            model.basis.project(vector_of(face.texture, face.displacement))
+            for model, face in zip((source, target), rest, strict=True)
+        ]
+        at_rest = (float(loadings[0] @ asked), float(loadings[1] @ shown))
+    most = float((target.training.values @ shown).max(initial=0.0))
+    return Openings(InnerProducts(source, source.basis.weight), asked, at_rest, most)
 
 
 def _features(target: MorphModel) -> AnyArray:

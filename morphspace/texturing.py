@@ -42,13 +42,14 @@ OPENING = (
 class Part:
     """A part of the picture, which is mixed by itself.
 
-    `shape` (k, m) is what tells faces apart there, per unit of each loading, in eye distances | `places` of its n
-    pixels | `share` (n, 1) in [0, 1], how far they belong to it | `colours` (k, 3 n), the components there.
+    `shape` (k, m) is what tells faces apart there, per unit of each loading, in eye distances | `seen` (f, m), the same
+    of each training face | `places` of its n pixels | `colours` (k, 3 n), the components there, each times how far the
+    pixel belongs to the part.
     """
 
     shape: AnyArray
-    places: AnyArray | slice
-    share: AnyArray
+    seen: AnyArray
+    places: AnyArray
     colours: AnyArray
 
 
@@ -60,8 +61,7 @@ class Texturing:
 
     def offset(self, loadings: LoadingVector) -> AnyArray:
         """Give the mean-relative vector (5 h w,) of a face: its colours mixed, its warp that of the loadings (k,)."""
-        colours = 3 * self.model.mask.size
-        by_warp = np.asarray(loadings, np.float32) @ self.model.basis.components[:, colours:]
+        by_warp = self.model.basis.expand(loadings, slice(3 * self.model.mask.size, None))
         return np.concatenate([self.change(loadings).reshape(-1), by_warp])
 
     def change(self, loadings: LoadingVector) -> Image:
@@ -69,18 +69,21 @@ class Texturing:
 
         A training face keeps its own, and so does the mean.
         """
-        height, width = self.model.mask.shape
-        out = np.zeros((height * width, 3), np.float32)
-        for part in self.parts:
-            mixed = np.asarray(self.mixed(part, loadings), np.float32)
-            out[part.places] += part.share * (mixed @ part.colours).reshape(-1, 3)
-        return out.reshape(height, width, 3)
+        mixed = [np.asarray(self.mixed(part, loadings), np.float32) @ part.colours for part in self.parts]
+        stacked = np.concatenate(mixed).reshape(-1, 3)
+        first, further = self.layers
+        out = np.take(stacked, first, axis=0)
+        for places, rows in further:
+            out[places] += stacked[rows]
+        return out.reshape(*self.model.mask.shape, 3)
 
     def mixed(self, part: Part, loadings: LoadingVector) -> LoadingVector:
         """Give the mixture of training faces (k,) that shows what the face of these loadings shows in a part."""
-        apart = (self.faces - loadings) @ part.shape
+        apart = part.seen - np.asarray(loadings, np.float64) @ part.shape
         costs = LOCALITY * (apart * apart).sum(axis=1)
-        near = np.sort(np.argsort(costs, kind="stable")[:NEAREST])
+        near: AnyArray | slice = slice(None)
+        if len(costs) > NEAREST:
+            near = np.sort(np.argsort(costs, kind="stable")[:NEAREST])
         away = min(float(np.sqrt(np.mean((loadings / self.model.sd) ** 2))) / NEAR_MEAN_SD, 1.0)
         return away * away * (3 - 2 * away) * (nearest_mixture(apart[near], costs[near]) @ self.faces[near])
 
@@ -98,13 +101,28 @@ class Texturing:
         shapes = _shapes(self.model, shares)
         return tuple(self._part(shapes[name], share) for name, share in shares.items())
 
+    @cached_property
+    def layers(self) -> tuple[AnyArray, tuple[tuple[AnyArray, AnyArray], ...]]:
+        """Where each of the h w pixels stands among those of all parts, one part after the other: in the first part
+        that has it; and of further parts the pixels that an earlier one has too, with where they stand.
+        """
+        first = np.full(self.model.mask.size, -1)
+        further, start = [], 0
+        for part in self.parts:
+            rows = start + np.arange(len(part.places))
+            again = first[part.places] >= 0
+            further.append((part.places[again], rows[again]))
+            first[part.places[~again]] = rows[~again]
+            start += len(rows)
+        return first, tuple(further[1:])
+
     def _part(self, shape: AnyArray, share: Mask) -> Part:
-        """Copy the components where the part is small; one that is most of the picture reads them where they are."""
-        components, places = self.model.basis.components, np.flatnonzero(share)
-        if 2 * len(places) > share.size:
-            return Part(shape, slice(None), share.reshape(-1, 1), components[:, : 3 * share.size])
+        """Copy the components where the part is: most pixels belong to one part, and are read once."""
+        places = np.flatnonzero(share)
         columns = (3 * places[:, None] + (0, 1, 2)).reshape(-1)
-        return Part(shape, places, share.reshape(-1, 1)[places], np.ascontiguousarray(components[:, columns]))
+        colours = np.ascontiguousarray(self.model.basis.components[:, columns], np.float32)
+        colours *= np.repeat(share.reshape(-1)[places], 3)
+        return Part(shape, self.faces @ shape, places, colours)
 
 
 def _lower(model: MorphModel) -> Mask:

@@ -208,14 +208,17 @@ def invert(displacement: Displacement) -> Displacement:
     back_y = start_y + beside * edge_y - qy
     target = qy * width + qx
     covered = np.bincount(target, minlength=height * width)
-    if covered.max(initial=0) > 1:
-        at_rest = edge_x * edge_y  # 1, but for the cells of the ring
-        stretch = triangles[STRETCH].reshape(-1)[number] / at_rest
-        order = _least_stretched_first(target, stretch, covered)
-        target, back_x, back_y = target[order], back_x[order], back_y[order]
     inverse = np.empty((height * width, 2), np.float32)
     inverse[target, 0] = back_x
     inverse[target, 1] = back_y
+    if covered.max(initial=0) > 1:  # those that are hit more than once are written again
+        several = np.flatnonzero(covered[target] > 1)
+        at_rest = edge_x[several] * edge_y[several]  # 1, but for the cells of the ring
+        stretch = triangles[STRETCH].reshape(-1)[number[several]] / at_rest
+        # The most stretched stays; ties keep raster order.
+        least_first = several[np.argsort(stretch, kind="stable")]
+        inverse[target[least_first], 0] = back_x[least_first]
+        inverse[target[least_first], 1] = back_y[least_first]
     inverse = inverse.reshape(height, width, 2)
     missing = (covered == 0).reshape(height, width)
     if missing.any():
@@ -346,13 +349,6 @@ def _place(triangles: AnyArray, cell: AnyArray, qx: AnyArray, qy: AnyArray) -> t
 
 def _is_inside(along: AnyArray, beside: AnyArray) -> AnyArray:
     return np.minimum(np.minimum(along, beside), 1 - along - beside) >= -EDGE_TOLERANCE
-
-
-def _least_stretched_first(target: AnyArray, stretch: AnyArray, covered: AnyArray) -> AnyArray:
-    """Order the hits so that, written one over the other, the most stretched stays; ties keep raster order."""
-    shared = covered[target] > 1
-    several = np.flatnonzero(shared)
-    return np.concatenate([np.flatnonzero(~shared), several[np.argsort(stretch[several], kind="stable")]])
 
 
 def _filled_from_nearest(field: AnyArray, missing: AnyArray) -> AnyArray:

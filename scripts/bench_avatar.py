@@ -22,6 +22,7 @@ from bench_tables import at_least, at_most, print_table, tell
 
 from morphspace.arrays import AnyArray, Image, Mask
 from morphspace.avatar import Avatar, AvatarSettings, blend_steps
+from morphspace.facefinder import own_finder
 from morphspace.faces import fitted_similarity, mouth_region, rigid_region
 from morphspace.files.images import write_image
 from morphspace.flow.baselines import LUMA
@@ -43,7 +44,7 @@ BLEND, AVERAGE = "blend", "pixel average"
 
 @dataclass(frozen=True, eq=False)
 class Judged:
-    """Faces read by the judge, and how sharp they are: variance of the Laplacian (n, 2), in the mask and further in."""
+    """Faces read by the judge, and how sharp they are: variance of the Laplacian (n, 2), on the face and further in."""
 
     readings: judge_measures.Readings
     sharpness: AnyArray
@@ -60,8 +61,9 @@ def avatar(data: Path, work: Path, judge: str) -> None:
         f"{GOAL_NOBODY:.2f} from every source and nearer to each than it is to the others. Range: rms motion of the 68 "
         "landmarks about their mean over the expressions of one source, head motion taken out, as a share of that "
         f"source's; the goal, {GOAL_RANGE:.0%}, is for the mean. Sharpness: variance of the Laplacian of the "
-        "faces as the models draw them, inside the mask of each model, where hair may reach, and on the rigid part and "
-        f"the mouth; goal {GOAL_SHARP[0]:.0%} to {GOAL_SHARP[1]:.0%} of the sources' mean. Blended pictures: what the "
+        "faces as the models draw them, all aligned as the blend is, in one region of the face (inside its outline and "
+        "all masks, nobody's hair), and on the rigid part and the mouth; "
+        f"goal {GOAL_SHARP[0]:.0%} to {GOAL_SHARP[1]:.0%} of the sources' mean. Blended pictures: what the "
         "blend's model was built from. "
         "Mimicry: mean r / slope of the judge's measures of what was made on the source's. Pixel average: the same "
         "versions with the same weights, without a warp.\n"
@@ -69,7 +71,7 @@ def avatar(data: Path, work: Path, judge: str) -> None:
     for group in GROUPS:
         models = [keyed_model(data, name, work) for name in group]
         started = time.perf_counter()
-        blend = _blend(models, AvatarSettings(), work / "avatar" / "-".join(group))
+        blend = _blend(models, AvatarSettings(finder=own_finder()), work / "avatar" / "-".join(group))
         tell(
             f"avatar: {', '.join(group)} took {time.perf_counter() - started:.0f} s (less where it was kept)"
         )
@@ -178,7 +180,7 @@ def _print_group(
             folder / f"source-{place}",
             indices,
             lambda index, place=place: _own(models[place], blend.expressions[index].frame),
-            models[place],
+            lambda index, place=place: _sharpness(blend.versions(index)[place], blend),
         )
         for place, indices in judged.items()
     }
@@ -189,13 +191,19 @@ def _print_group(
         return np.clip(blend.model.render(blend.model.training.values[row]), 0, 1)
 
     made = {
-        BLEND: _read(judge, folder / "blend", chosen, drawn, blend.model),
-        AVERAGE: _read(judge, folder / "average", chosen, blend.pixel_average, blend.model),
+        BLEND: _read(judge, folder / "blend", chosen, drawn, lambda index: _sharpness(drawn(index), blend)),
+        AVERAGE: _read(
+            judge,
+            folder / "average",
+            chosen,
+            blend.pixel_average,
+            lambda index: _sharpness(blend.pixel_average(index), blend),
+        ),
     }
     print(f"### {', '.join(group)}\n")
     _print_identity(made, own, group)
     _print_motion(made, own, group)
-    pictures = np.array([_sharpness(blend.blend(index), blend.model) for index in chosen])
+    pictures = np.array([_sharpness(blend.blend(index), blend) for index in chosen])
     _print_sharpness(made, own, group, blend, pictures)
     _print_weights(blend, group)
 
@@ -314,12 +322,12 @@ def _print_sharpness(
             ]
         )
     print_table(
-        ["faces", "in the mask", "of the sources", "85 to 120 %", "further in", "of the sources"], rows
+        ["faces", "on the face", "of the sources", "85 to 120 %", "further in", "of the sources"], rows
     )
     told = float(blend.sharpness["sources"] @ blend.weights)
     print(
-        f"Unsharp mask: amount {blend.sharpen:.2f}; by the report the blended pictures are "
-        f"{blend.sharpness[BLEND] / told:.0%} as sharp as the sources, the pixel average "
+        f"Unsharp mask: amount {blend.sharpen:.2f}; by the report the blend is {blend.sharpness[BLEND] / told:.0%} as "
+        f"sharp as the sources, its pictures {blend.sharpness['pictures'] / told:.0%}, the pixel average "
         f"{blend.sharpness[AVERAGE] / told:.0%}.\n",
         flush=True,
     )
@@ -346,24 +354,26 @@ def _print_weights(blend: Avatar, group: Sequence[str]) -> None:
 
 
 def _read(
-    judge: str, folder: Path, indices: Sequence[int], picture: Callable[[int], Image], model: MorphModel
+    judge: str,
+    folder: Path,
+    indices: Sequence[int],
+    picture: Callable[[int], Image],
+    sharp: Callable[[int], tuple[float, float]],
 ) -> Judged:
     """Write the pictures of these expressions as the judge wants them, and read them."""
     shutil.rmtree(folder, ignore_errors=True)
-    sharp = []
     for index in indices:
-        image = np.clip(picture(index), 0, 1)
-        sharp.append(_sharpness(image, model))
-        write_image(folder / f"{index:04d}.png", image)
+        write_image(folder / f"{index:04d}.png", np.clip(picture(index), 0, 1))
     tell(f"avatar: judging {folder.name}")
-    return Judged(face_judge_runner.read(judge, folder, VIEWS), np.array(sharp))
+    return Judged(face_judge_runner.read(judge, folder, VIEWS), np.array([sharp(index) for index in indices]))
 
 
-def _sharpness(image: Image, model: MorphModel) -> tuple[float, float]:
-    """Give the variance, in 1e-3, inside the model's mask, and nearer the middle where hair does not reach."""
-    height, width = model.mask.shape
-    inner = np.maximum(*(part(height, width, model.faceframe) for part in (rigid_region, mouth_region)))
-    return 1e3 * laplacian_variance(image, model.mask), 1e3 * laplacian_variance(image, inner)
+def _sharpness(image: Image, blend: Avatar) -> tuple[float, float]:
+    """Give the variance, in 1e-3, of an aligned face in the region all share, and nearer the middle of it."""
+    height, width = blend.model.mask.shape
+    inner = np.maximum(*(part(height, width, blend.model.faceframe) for part in (rigid_region, mouth_region)))
+    region = blend.studio.mixer(0).judged_picture
+    return 1e3 * laplacian_variance(image, region), 1e3 * laplacian_variance(image, inner)
 
 
 def laplacian_variance(image: Image, mask: Mask) -> float:

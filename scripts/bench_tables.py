@@ -15,16 +15,18 @@ import numpy as np
 Work = Callable[[], object]
 
 
-def interleaved(works: Mapping[str, Work], rounds: int) -> dict[str, np.ndarray]:
+def interleaved(
+    works: Mapping[str, Work], rounds: int, clock: Callable[[], float] = time.perf_counter
+) -> dict[str, np.ndarray]:
     """Run each work once to warm up, then all of them in turn, `rounds` times; give the seconds of each, (rounds,)."""
     for work in works.values():
         work()
     seconds: dict[str, list[float]] = {name: [] for name in works}
     for _ in range(rounds):
         for name, work in works.items():
-            start = time.perf_counter()
+            start = clock()
             work()
-            seconds[name].append(time.perf_counter() - start)
+            seconds[name].append(clock() - start)
     return {name: np.array(found) for name, found in seconds.items()}
 
 

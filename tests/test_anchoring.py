@@ -149,6 +149,11 @@ def test_a_model_reads_new_frames_as_its_build_did_where_the_networks_are(model,
     held = replace(model, provenance={**model.provenance, **ANCHORED}, registration="similarity")
     frame = held.align(np.array(model.reference), "some")
     assert_allclose(frame.registration, np.eye(2, 3), atol=1e-4)  # px: a grey level that rounds otherwise
+    asked: list[object] = []
+    held.__dict__["anchor"] = replace(held.anchor, finder=FaceFinder(lambda image: asked.append(image)))
+    known = held.align(np.array(model.reference), "some", finder.find(model.reference))
+    assert_array_equal(known.image, frame.image)  # bytes: what was found before is not looked for again
+    assert not asked
     moved = FaceFinder(lambda image: FacePoints(points() + 2.0, 0.9))
     plain = model.flow_from_reference(model.reference, None)
     held.__dict__["anchor"] = FaceAnchor(moved, FacePoints(points(), 0.9))

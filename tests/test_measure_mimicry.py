@@ -83,7 +83,7 @@ def test_a_table_against_itself_is_perfect(work, model):
     assert found["name"] == ["pc001", "pc002", "pc003", "all"]
     assert_allclose(found["correlation"], 1)
     assert found["distance_sd"] == [0, 0, 0, 0] and found["lag_frames"] == [0, 0, 0, 0]
-    assert found["correlation_p"][-1] == 1 / FRAMES
+    assert found["correlation_p"][-1] == round(1 / FRAMES, 6)
     assert outcome.warnings == ()
     assert outcome.document["correlation"] == pytest.approx(1)
     back = read_loadings_table(work / "out" / "stimulus.csv")
@@ -271,6 +271,14 @@ def test_a_still_imitation_has_empty_cells_and_a_reason(work, model):
         page.count(outcome.lines[1]) == 2 and "frames of lag" not in page
     )  # first of all, and for the timing
     assert "the imitation does not move: pc001, pc002, pc003, all" in page
+
+
+def test_measures_are_written_to_what_they_are_good_for(work, model):
+    measured(work, table(work, "a", motion(), model), table(work, "b", motion(seed=1), model))
+    lines = (work / "out" / "measures.csv").read_text().splitlines()
+    decimals = [len(cell.partition(".")[2]) for line in lines[1:] for cell in line.split(",")[1:]]
+    assert 3 < max(decimals) <= 6
+    assert not any(cell == "-0.0" for line in lines for cell in line.split(","))
 
 
 @pytest.mark.parametrize(

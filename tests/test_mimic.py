@@ -85,6 +85,25 @@ def test_gain_scales_the_loadings(person, method):
     assert_allclose(half, 0.5 * one, rtol=1e-6)
 
 
+@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("rests", [False, True])
+def test_a_face_whose_loadings_are_known_is_the_same(person, method, rests):
+    """They spare reading the source's components; nothing else follows from them."""
+    person = replace(
+        person, basis=replace(person.basis, discarded_variance=1e-3)
+    )  # or landmarks hardly count
+    loadings = 0.9 * faces(person)[2]
+    offset = offset_of(person, loadings)
+    origin = resting(person, faces(person)[3], faces(person)[5]) if rests else None
+    to_target = mimic(person, person, method, origin=origin)
+    read, known = to_target(offset), to_target(offset, loadings)
+    assert_allclose(known.loadings / person.sd, read.loadings / person.sd, atol=2e-4)
+    assert_allclose(known.morph.render(), read.morph.render(), atol=2e-4)
+    if method == "guided":  # they are believed
+        asked = to_target(offset, loadings + person.sd).loadings / person.sd
+        assert np.abs(asked - read.loadings / person.sd).max() > 0.01
+
+
 def test_equal_models_may_change_places(person):
     other = replace(person, provenance={**person.provenance, "identity": "twin"})
     offset = offset_of(person, faces(person)[1])

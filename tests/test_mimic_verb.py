@@ -11,9 +11,11 @@ import pytest
 from click.testing import CliRunner
 from numpy.testing import assert_allclose
 
+from morphspace import anchoring
 from morphspace.basis import fit_basis
 from morphspace.cli import main
 from morphspace.errors import BadInput, UnreadableFile, UnwritableFile
+from morphspace.facefinder import FaceFinder
 from morphspace.facepoints import (
     LEFT_LIDS,
     LOWER_LIP_TOP,
@@ -270,7 +272,7 @@ def test_a_long_clip_holds_a_few_frames_at_a_time(work, actor, other):
             yield image
             del image
 
-    def offset(name, image):
+    def offset(name, image, found):
         return actor.mean - actor.mean
 
     names = tuple(f"f{index}" for index in range(total))
@@ -301,6 +303,29 @@ def test_a_frame_without_a_face_and_a_turned_one_are_marked_and_the_clip_goes_on
     assert_allclose(table["yaw_deg"], [0, np.nan, 30, 0], atol=2)
     assert outcome.document["no_face"] == 1 and outcome.document["frames"] == 4
     assert any("1 of 4 frames show no face" in note for note in outcome.warnings)
+
+
+def test_a_driving_frame_is_looked_at_once(work, actor, monkeypatch):
+    """Where the source aligns with the same detector; the files are those of a run that looks twice."""
+    told = {**actor.provenance, "landmarks": {"reference_has_face": True, "anchored": False}}
+    dataclasses.replace(actor, provenance=told, registration="similarity").save(work / "held.morph")
+    given = clip(work, actor, 0.5 * actor.training.values[:4])
+    looked = []
+
+    def find(image):
+        looked.append(image)
+        return points(yaw_deg=5)
+
+    monkeypatch.setattr(anchoring, "own_finder", lambda: FaceFinder(find))
+    monkeypatch.setattr(anchoring, "models_present", lambda: True)
+    monkeypatch.setattr(verb, "own_detector", lambda: find)
+    run(work, source="held", frames=given)
+    assert len(looked) == 1 + 2 + 4  # the reference, both means, each frame
+    looked.clear()
+    run(work, source="held", frames=given, detector=lambda image: find(image), output=work / "twice")
+    assert len(looked) == 1 + 2 + 2 * 4
+    for name in ("loadings.csv", "quality.csv", *(f"frames/clip_{index:03d}.png" for index in range(4))):
+        assert (work / "out" / name).read_bytes() == (work / "twice" / name).read_bytes()
 
 
 def test_a_turned_training_frame_is_marked_when_it_drives(work, actor):

@@ -48,7 +48,17 @@ def test_it_is_what_was_asked_less_the_widest_that_was_shown(talker):
 def test_no_training_face_is_beyond_its_own_range(talker):
     openings = openings_of(talker, talker)
     for row in talker.training.values:
-        assert openings.beyond(offset_of(talker, row), 1.0, None) < 1e-4
+        assert openings.beyond(offset_of(talker, row), 1.0) < 1e-4
+
+
+def test_a_face_whose_loadings_are_known_opens_as_far(talker):
+    offset, loadings, rest = opening(talker, 2.0), np.array([2.0 * talker.sd[0]]), opening(talker, 0.7)
+    loadings = np.pad(loadings, (0, talker.rank - 1))
+    made = mimic(talker, talker, "map")(offset)
+    reach = reach_of(talker, talker, 1.5, (rest, rest))
+    read, known = reach(offset, made), reach(offset, made, loadings)
+    assert known.opening_beyond == pytest.approx(read.opening_beyond, abs=1e-4)
+    assert reach(offset, made, 2 * loadings).opening_beyond > read.opening_beyond + 0.3
 
 
 def test_one_neutral_frame_for_both_changes_nothing(talker):

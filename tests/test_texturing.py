@@ -72,10 +72,22 @@ def test_the_warp_stays_that_of_the_loadings(person):
 
 
 def test_parts_share_every_pixel_between_them(person):
-    total = np.zeros((person.mask.size, 1))
+    """What the parts hold of each component adds up to that component."""
+    total = np.zeros((person.rank, person.mask.size, 3))
     for part in Texturing(person).parts:
-        total[part.places] += part.share
-    assert_allclose(total, 1, atol=1e-6)
+        total[:, part.places] += part.colours.reshape(person.rank, -1, 3)
+    whole = person.basis.components[:, : 3 * person.mask.size].reshape(total.shape)
+    assert_allclose(total, whole, atol=1e-6)
+
+
+def test_the_picture_is_the_sum_of_its_parts(person):
+    texturing, loadings = Texturing(person), 1.5 * person.training.values[3]
+    total = np.zeros((person.mask.size, 3))
+    for part in texturing.parts:
+        total[part.places] += (texturing.mixed(part, loadings) @ part.colours).reshape(-1, 3)
+    assert_allclose(texturing.change(loadings).reshape(-1, 3), total, atol=1e-5)
+    places = np.concatenate([part.places for part in texturing.parts])
+    assert len(np.unique(places)) < len(places)  # some pixels belong to two
 
 
 @pytest.mark.parametrize("person", ["by landmarks"], indirect=True)

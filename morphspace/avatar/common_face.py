@@ -19,6 +19,7 @@ from morphspace import warp
 from morphspace.anchoring import HELD, spline_from
 from morphspace.arrays import Affine, AnyArray, Displacement, Image, Mask
 from morphspace.avatar import visible
+from morphspace.errors import BadInput
 from morphspace.faces import FaceFrame, identity_affine
 from morphspace.flow import methods
 from morphspace.flow.folds import unfolded
@@ -51,6 +52,7 @@ class CommonFace:
 
     def laid(self, identity: int, morph: Morph, place: Affine) -> Laid:
         """Lay a morph of an identity on the grid; `place` (2, 3) takes its pictures' points to the aligned picture."""
+        check_finite(self.models[identity], morph)
         field = self.fields[identity]
         texture, moved = morph.texture, morph.displacement
         if field.any():
@@ -75,6 +77,16 @@ def placed(displacement: Displacement, place: Affine) -> Displacement:
 def version_picture(morph: Morph, place: Affine) -> Image:
     """Draw a version (h, w, 3) in its aligned place: the second alignment (Nagle section 4, step 7)."""
     return warp.render(morph.texture, placed(morph.displacement, place))
+
+
+def check_finite(model: MorphModel, morph: Morph) -> None:
+    """Raise `BadInput` for a morph of a model whose points go nowhere: no picture can be drawn of it."""
+    count = int((~np.isfinite(morph.displacement)).sum())
+    if count:
+        raise BadInput(
+            f"the model of {model.identity} gives a face in which {count} of {morph.displacement.size} displacements "
+            "are not finite numbers: build it again"
+        )
 
 
 def places_on(models: Sequence[MorphModel], faceframe: FaceFrame) -> list[Affine]:

@@ -16,7 +16,9 @@ import numpy as np
 
 from morphspace import warp
 from morphspace.arrays import Affine, AnyArray, Image, Mask
-from morphspace.avatar.common_face import CommonFace, Laid, around, version_picture
+from morphspace.avatar.bands import Shown, banded, changed, detail_of, strength
+from morphspace.avatar.common_face import CommonFace, Laid, around, check_finite, version_picture
+from morphspace.avatar.sharpness import WELL_INSIDE
 from morphspace.avatar.versions import LEAST, Version
 from morphspace.flow.folds import unfolded
 
@@ -70,10 +72,15 @@ class Mixer:
         """The mask (h, w) as it lies in the aligned picture of the mean face."""
         return np.clip(warp.render(self.common.mask[..., None], self.mean.displacement)[..., 0], 0, 1)
 
+    @cached_property
+    def judged_picture(self) -> Mask:
+        """The part (h, w) of the picture of the mean face in which sharpness is compared: everybody's skin."""
+        skin = np.min([self.common.mask, *self.common.skin], axis=0)
+        return np.clip(warp.render(skin[..., None], self.mean.displacement)[..., 0], 0, 1)
+
     def used(self, versions: Sequence[Version]) -> AnyArray:
         """Give the weights (n,), sum 1, with which the versions' motion and colour count."""
-        believed = np.array([version.plausibility for version in versions])
-        weights = self.weights * np.where(believed < LEAST, 0.0, believed)
+        weights = self.weights * np.array([believed(version) for version in versions])
         out: AnyArray = weights / weights.sum()  # the source's own counts in full, so the sum is above 0
         return out
 
@@ -90,23 +97,42 @@ class Mixer:
             for i, version in enumerate(versions)
             if used[i] > 0 or i == self.surround
         }
-        added = _sum(
-            [used[i] for i in laid],
-            [
-                Laid(one.texture - self.rest[i].texture, one.displacement - self.rest[i].displacement)
-                for i, one in laid.items()
-            ],
-        )
+        offsets = {
+            i: Laid(one.texture - self.rest[i].texture, one.displacement - self.rest[i].displacement)
+            for i, one in laid.items()
+        }
+        added = _sum([used[i] for i in offsets], list(offsets.values()))
         outside = self._outside(versions, laid, added)
         inside = self.common.mask[..., None]
-        texture = self.mean.texture + added.texture
+        texture = self._face(versions, offsets, added.texture)
         displacement = self.mean.displacement + added.displacement
         texture = outside.texture + inside * (texture - outside.texture)
         displacement = outside.displacement + inside * (displacement - outside.displacement)
         return Laid(texture, unfolded(displacement))
 
+    def _face(self, versions: Sequence[Version], offsets: dict[int, Laid], added: Image) -> Image:
+        """Mix the textures, band by band: who cannot be believed shows what the others add, where that is little."""
+        another = changed(added)
+        shown = []
+        for i, (version, rest, skin) in enumerate(zip(versions, self.rest, self.common.skin, strict=True)):
+            sure = np.float32(believed(version))
+            own = offsets[i].texture - added if sure > 0 else np.float32(0)
+            share = np.float32(self.weights[i]) * (skin + np.float32(LEAST_SKIN)) * (1 - (1 - sure) * another)
+            shown.append(Shown(rest.texture + added + sure * own, share))
+        return banded(self.mean.texture + added, shown, self.usual)
+
+    @cached_property
+    def usual(self) -> tuple[float, ...]:
+        """How strong each identity's finest detail is in its mean face."""
+        inside = self.common.mask > WELL_INSIDE
+        return tuple(
+            float(strength(detail_of(one.texture))[inside].mean()) if inside.any() else 1.0
+            for one in self.rest
+        )
+
     def picture(self, identity: int, version: Version) -> Image:
         """Give a version (h, w, 3) by itself, aligned as the blend is."""
+        check_finite(self.common.models[identity], version.morph)
         return version_picture(version.morph, self.places[identity])
 
     def _outside(self, versions: Sequence[Version], laid: dict[int, Laid], added: Laid) -> Laid:
@@ -119,11 +145,15 @@ class Mixer:
             grey = np.full_like(self.mean.texture, GREY)
             return Laid(grey, self.mean.displacement + near * added.displacement)
         own, rest = laid[self.surround], self.rest[self.surround]
-        share = versions[self.surround].plausibility
-        share = 0.0 if share < LEAST else share
+        share = believed(versions[self.surround])
         texture = rest.texture + share * (own.texture - rest.texture)
         moved = share * (own.displacement - rest.displacement) + (1 - share) * near * added.displacement
         return Laid(texture, rest.displacement + moved)
+
+
+def believed(version: Version) -> float:
+    """Give how much a version counts, 0 to 1."""
+    return 0.0 if version.plausibility < LEAST else version.plausibility
 
 
 def _sum(weights: Sequence[float] | AnyArray, laid: Sequence[Laid]) -> Laid:

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from morphspace.arrays import AnyArray
+from morphspace.avatar.originals import Clip
 from morphspace.errors import BadInput, SizeMismatch
 from morphspace.facefinder import FaceFinder
 from morphspace.flow import methods
@@ -34,7 +35,8 @@ class AvatarSettings:
     | `method` of `mimic.METHODS`, or "auto" | `max_sd` bounds each loading | `sharpen` amount of the unsharp mask, None
     for as sharp as the sources | `surround` the identity whose hair, neck and background stay, "flat" for grey, None
     for the reference identity's | `flow` between the mean faces, and of the final build | `components` of the result |
-    `finder` finds the face in the blended pictures for the final build | `provenance` joins the result's.
+    `finder` finds the face in the blended pictures for the final build | `clips` that the models were built from, one a
+    model, for their own frames in place of what the models make of them | `provenance` joins the result's.
     """
 
     weights: Sequence[float] | None = None
@@ -48,6 +50,7 @@ class AvatarSettings:
     flow: str = methods.DEFAULT
     components: int = COMPONENTS
     finder: FaceFinder | None = None
+    clips: Sequence[Clip] | None = None
     provenance: Mapping[str, Any] = field(default_factory=dict)
 
 
@@ -79,6 +82,11 @@ def check_models(models: Sequence[MorphModel]) -> None:
                 f"the model of {model.identity} has {model.rank} components and {len(model.training.values)} training "
                 "frames: build it from more frames"
             )
+        if not _finite(model):
+            raise BadInput(
+                f"the model of {model.identity} holds numbers that are not finite among its {model.rank} components or "
+                "in its mean face: build it again"
+            )
         if model.size != first.size:
             raise SizeMismatch(
                 f"{first.identity} has frames of {first.size[0]}x{first.size[1]}, {model.identity} of "
@@ -89,6 +97,18 @@ def check_models(models: Sequence[MorphModel]) -> None:
                 f"the third keypoint of {first.identity} marks the {lip_of(first)}, that of {model.identity} the "
                 f"{lip_of(model)}: set both the same way with `morphspace keypoints`"
             )
+
+
+def _finite(model: MorphModel) -> bool:
+    parts = (
+        model.mean.texture,
+        model.mean.displacement,
+        model.mask,
+        model.training.values,
+        model.basis.variances,
+    )
+    rows = model.basis.components  # one at a time: they are large
+    return all(bool(np.isfinite(part).all()) for part in (*parts, *rows))
 
 
 def check_settings(settings: AvatarSettings, count: int) -> AnyArray:

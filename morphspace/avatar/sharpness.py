@@ -16,7 +16,7 @@ from morphspace.arrays import AnyArray, Image, Mask
 from morphspace.flow.baselines import LUMA
 
 RADIUS = 0.006  # sd of the Gaussian, of the picture's width: 1.2 px at 200
-WELL_INSIDE = 0.9  # of the mask: where its soft edge begins, another picture shines through
+WELL_INSIDE = 0.5  # of the mask
 
 
 @dataclass(frozen=True, eq=False)

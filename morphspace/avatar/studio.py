@@ -12,6 +12,7 @@ import numpy as np
 from morphspace.arrays import AnyArray, Image
 from morphspace.avatar.common_face import CommonFace, common_face, mean_faceframe, places_on, version_picture
 from morphspace.avatar.mixing import Mixer
+from morphspace.avatar.originals import originals_of
 from morphspace.avatar.selection import labels_of, model_key, nearest_to_all, spread_out
 from morphspace.avatar.settings import (
     FLAT,
@@ -135,6 +136,7 @@ class Studio:
             cast.method,
             cast.max_sd,
             settings.flow,
+            [None if one is None else one.identity for one in cast.originals],
         ]
 
 
@@ -156,7 +158,9 @@ def studio_of(models: Sequence[MorphModel], settings: AvatarSettings) -> Studio:
         surround = _place(settings.surround, labels, part, "the surround", (FLAT,))
     if settings.faceframe not in (MEAN, SOURCE):
         identity_at(settings.faceframe, labels, "the faceframe", (MEAN, SOURCE))
-    cast = Cast(taking, [keys[i] for i in part], method_of(settings.method, taking), settings.max_sd)
+    originals = originals_of(models, settings.clips)
+    method = method_of(settings.method, taking)
+    cast = Cast(taking, [keys[i] for i in part], method, settings.max_sd, [originals[i] for i in part])
     return Studio(models, keys, labels, weights, part, reference, surround, cast, settings)
 
 

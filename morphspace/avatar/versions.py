@@ -14,6 +14,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from morphspace.arrays import AnyArray, LoadingVector
+from morphspace.avatar.originals import Originals
 from morphspace.keypoints import affine_between_models, required_faceframe
 from morphspace.landmarks import LandmarkRegression, landmark_places
 from morphspace.mimic import WITH_REST, Method, Mimicry, auto_gain, mimic, offset_of
@@ -24,11 +25,14 @@ from morphspace.recentring import automatic_recentring
 
 MOST_GAIN = 1.3  # above it a model that cannot follow is pushed into faces it does not know
 # Where a version begins to lose weight, and where it is believed no more. By eye, on twenty pairs of five clips.
-MISSING = (0.05, 0.10)  # eye distances of motion; `mimic` flags .10 as out of range
-LENGTH_SD = (1.7, 2.3)  # root mean square loading; training faces have 1
+MISSING = (
+    0.05,
+    0.15,
+)  # eye distances of motion; `mimic` flags .10 as out of range, which is wrong rather than torn
+LENGTH_SD = (2.0, 3.5)  # root mean square loading; training faces have 1
 MISFIT = (0.06, 0.14)  # eye distances between the gap asked for and the one shown, of lips or lids
 BEYOND = (0.03, 0.10)  # eye distances by which the lips are asked to open further than they ever did
-LEAST = 0.25  # plausibility below which a version is left out
+LEAST = 0.1  # plausibility below which a version is left out
 # Opposite points of the lids and of the inner lips, as places in those groups of landmarks.
 LID_GAPS = ((4, 12), (20, 28))
 LIP_GAP = (15, 5)
@@ -48,16 +52,22 @@ Show = Callable[[LoadingVector, MorphOffset], Version]
 
 @dataclass(frozen=True, eq=False)
 class Cast:
-    """The identities that take part: their models and keys, and how expressions are carried between them."""
+    """The identities that take part: their models and keys, and how expressions are carried between them.
+
+    `originals` the frames of each model's clip, None where what the model makes of them is taken.
+    """
 
     models: Sequence[MorphModel]
     keys: Sequence[str]
     method: Method
     max_sd: float
+    originals: Sequence[Originals | None]
 
     def shows_from(self, source: int) -> tuple[Show, ...]:
         """Prepare every identity to show what `source` shows; one of the same model shows it as it is."""
-        own = self.models[source]
+        own, original = self.models[source], self.originals[source]
+        if original is not None:
+            original.prepare()
         return tuple(
             _as_it_is(own) if key == self.keys[source] else _projected(own, model, self.method, self.max_sd)
             for model, key in zip(self.models, self.keys, strict=True)
@@ -65,9 +75,9 @@ class Cast:
 
     def versions(self, source: int, shows: Sequence[Show], frame: int) -> list[Version]:
         """Give the version of each identity of training frame `frame` of `source`."""
-        model = self.models[source]
+        model, original = self.models[source], self.originals[source]
         loadings = np.array(model.training.values[frame], np.float64)
-        offset = offset_of(model, loadings)
+        offset = offset_of(model, loadings) if original is None else original.morph(frame) - model.mean
         return [show(loadings, offset) for show in shows]
 
 

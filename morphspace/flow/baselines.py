@@ -12,12 +12,14 @@ import cv2
 import numpy as np
 
 from morphspace.arrays import AnyArray, Displacement, Image
+from morphspace.errors import BadInput
 from morphspace.flow import Flow, FlowFunction, FlowMethod
 from morphspace.flow.pairs import checked_frame, checked_picture, checked_start, is_featureless, unknown_flow
 
 SMOOTHING = (
     0.02  # of the image's width; where registration and the search for the reference take DIS as it is
 )
+DIS_LEAST_PX = 17  # below it OpenCV finds no room for the patches of `dis`
 LUMA = np.array([0.299, 0.587, 0.114], np.float32)  # ITU-R BT.601
 
 
@@ -34,7 +36,15 @@ def deepflow(reference: Image, frame: Image, start: Displacement | None = None) 
 
 
 def dis(reference: Image, frame: Image, start: Displacement | None = None) -> Displacement:
-    """Estimate the flow by dense inverse search with hard settings: full size, 50 descents (Kroeger, ECCV 2016)."""
+    """Estimate the flow by dense inverse search with hard settings: full size, 50 descents (Kroeger, ECCV 2016).
+
+    Raises `BadInput` for a picture of less than `DIS_LEAST_PX` a side.
+    """
+    height, width = reference.shape[:2]
+    if min(height, width) < DIS_LEAST_PX:
+        raise BadInput(
+            f"dis needs {DIS_LEAST_PX} px a side, the pictures have {width}x{height} px: choose dis-medium or another"
+        )
     estimator = cv2.DISOpticalFlow.create(cv2.DISOPTICAL_FLOW_PRESET_MEDIUM)
     estimator.setFinestScale(0)
     estimator.setPatchSize(12)

@@ -31,7 +31,7 @@ from morphspace.arrays import AnyArray, Displacement, Image, Mask
 from morphspace.flow import Flow, FlowFunction, filters
 from morphspace.flow.baselines import LUMA
 from morphspace.flow.mcgm import DIRECTIONS, LEAST_DETERMINANT, ORDERS, SPACE_TERMS, taylor_weights
-from morphspace.flow.pairs import checked_pair, checked_picture, is_featureless, unknown_flow
+from morphspace.flow.pairs import checked_pair, checked_picture, checked_start, is_featureless, unknown_flow
 
 SCALES = (0.05, 0.1, 0.2, 0.4, 0.8)  # of the full size, coarsest first
 SINGLE_SCALE = 0.8
@@ -51,9 +51,9 @@ LEAST_ERROR = np.float32(
 def method(reference: Image) -> FlowFunction:
     """Give the function that finds frames from a reference (h, w, 3); a `FlowMethod`.
 
-    The pictures need 16 px each way. A `start` is ignored: the authors had none. Only grey is looked at: two colours of
-    one luma are flat. The same gain or offset of both pictures changes nothing, while half an 8-bit code of contrast is
-    left; of one alone, it does. The mean of the two and their difference depend on both, so hardly anything is shared
+    The pictures need 16 px each way. A `start` is checked and ignored: the authors had none. Only grey is looked at:
+    two colours of one luma are flat. The same gain or offset of both pictures changes nothing, while half an 8-bit code
+    of contrast is left; of one alone, it does. The mean of the two and their difference depend on both, so hardly anything is shared
     between frames. Confidence (ours) is the share of the reference's local contrast that the frame, sampled there,
     reproduces, 0 where there is none; it cannot see that a plain edge could as well have slid along itself.
 
@@ -64,6 +64,8 @@ def method(reference: Image) -> FlowFunction:
     def to_frame(frame: Image, start: Displacement | None = None) -> Flow:
         _, second = checked_pair(first, frame)
         height, width = first.shape[:2]
+        if start is not None:
+            checked_start(start, height, width)
         grey, other = first @ LUMA, second @ LUMA
         if is_featureless(grey[..., None]) or is_featureless(other[..., None]):
             return unknown_flow(height, width)

@@ -207,7 +207,7 @@ def _checked_device(name: str) -> Planes:
         raise BadInput(f"the flow does not run on {name!r}: choose cpu or cuda")
     if device.type == "cuda" and (device.index or 0) >= torch.cuda.device_count():
         raise BadInput(
-            f"there is no device {name!r} here, torch sees {torch.cuda.device_count()}: choose cpu"
+            f"there is no device {name!r} here, torch sees {torch.cuda.device_count()}: choose torch:cpu"
         )
     return device
 

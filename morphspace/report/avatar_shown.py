@@ -40,9 +40,9 @@ class AvatarShown:
     expression is, and `frames` (n,) the name of the training frame there, in the order of the model's training rows |
     `used` (n, k) weights of the versions' expressions, 0 where a version was left out | `plausibility` (n, k) 0 to 1
     | `rows` of the contact sheet | `sharpness` variance of the Laplacian inside the mask, of "sources" (k,), "blend",
-    "pixel average" and, where known, "unsharpened" | `sharpen` the amount used | `surround` whose hair, neck and
-    background it has | `distances` between the mean faces, None where unknown | `notes` to read first | `settings`
-    name to value.
+    "pixel average" and, where known, "pictures" and "unsharpened" | `sharpen` the amount used | `surround` whose hair,
+    neck and background it has | `distances` between the mean faces, None where unknown | `notes` to read first |
+    `settings` name to value.
     """
 
     model: MorphModel

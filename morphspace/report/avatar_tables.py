@@ -117,6 +117,7 @@ def sharpness_section(shown: AvatarShown) -> Html:
     rows.append((text("mean of the sources, by weight"), text(_scientific(mean)), text(percent_of(1.0))))
     made = (
         ("unsharpened", "blend before the unsharp mask"),
+        ("pictures", "blended pictures, sharpened"),
         ("blend", "blend"),
         ("pixel average", "pixel average"),
     )
@@ -126,8 +127,9 @@ def sharpness_section(shown: AvatarShown) -> Html:
         if name in shares
     ]
     caption = (
-        "Variance of the Laplacian of luma inside the mask, mean over expressions, and as a share of the sources' "
-        f"mean by weight. The unsharp mask has the amount {shown.sharpen:.2f}."
+        "Variance of the Laplacian of luma where all have face and nobody has hair, mean over expressions, and as a "
+        "share of the sources' mean by weight. The blend is measured as its model draws it, after an unsharp mask of "
+        f"the amount {shown.sharpen:.2f} on its pictures."
     )
     return section(
         "sharpness", "Sharpness", table(caption, ("Picture", "variance", "share"), rows, class_="few")

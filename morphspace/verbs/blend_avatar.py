@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import contextlib
+import shutil
+import tempfile
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -10,8 +12,11 @@ from pathlib import Path
 import numpy as np
 
 from morphspace.avatar import Avatar, AvatarSettings, blend_steps
+from morphspace.avatar.blend import checked
+from morphspace.avatar.originals import check_clips
 from morphspace.avatar.settings import AUTO, COMPONENTS, EXPRESSIONS, FLAT, MEAN
-from morphspace.errors import BadInput
+from morphspace.errors import BadInput, UnreadableFile
+from morphspace.files.framed import FramedClip
 from morphspace.flow import methods
 from morphspace.mimic import MAX_SD
 from morphspace.model import MorphModel, load_model
@@ -20,11 +25,16 @@ from morphspace.progress import Step, Steps
 from morphspace.report.avatar_distances import mean_face_distances
 from morphspace.report.avatar_page import AvatarShown, ExpressionRow, avatar_page, rows_shown
 from morphspace.storage import digest_of_file, write_text
+from morphspace.verbs.encoding import framed_for
 from morphspace.verbs.finding import finder_for
-from morphspace.verbs.outcome import Outcome, check_file, check_folder, remove_work, versions
+from morphspace.verbs.outcome import Outcome, check_file, check_folder, versions, work_folder_of
 
 IDENTITY = "avatar"
 SUFFIX = ".morph"
+NO_FINDER = (
+    "blended without what finds faces: the keypoints are the sources', and no landmarks were learned; run `morphspace "
+    "models fetch` once for better, or give --landmarks none to say that this is meant"
+)
 
 
 @dataclass(frozen=True)
@@ -32,8 +42,9 @@ class BlendAvatarRequest:
     """Blend `models`, .morph files with keypoints, into the model `output`.
 
     `report` the page, None for one beside the model; `work_folder` kept when given, else beside the output and removed
-    at the end; `identity` what the avatar is called; `landmarks` "auto" finds the face in the blended pictures where
-    the detector's files are. The others are those of `avatar.AvatarSettings`.
+    at the end; `clips` the folders, globs or videos the models were built from, in their order; `identity` what the
+    avatar is called; `landmarks` "auto" finds the face in the blended pictures where the detector's files are. The
+    others are those of `avatar.AvatarSettings`.
     """
 
     models: tuple[str, ...]
@@ -48,6 +59,7 @@ class BlendAvatarRequest:
     surround: str | None = None
     flow: str = methods.DEFAULT
     components: int = COMPONENTS
+    clips: tuple[str, ...] | None = None
     landmarks: str = "auto"
     identity: str = IDENTITY
     report: Path | None = None
@@ -64,57 +76,91 @@ def run(request: BlendAvatarRequest) -> Steps[Outcome]:
     report = request.report or request.output.with_suffix(".html")
     check_file(request.output, SUFFIX, paths)
     check_file(report, ".html", paths)
-    models = [opened(path) for path in paths]
-    finder, missing = finder_for(request.landmarks)
-    settings = AvatarSettings(
-        weights=request.weights,
-        faceframe=request.faceframe,
-        reference=request.reference,
-        expressions=request.expressions,
-        method=request.method,
-        max_sd=request.max_sd,
-        sharpen=request.sharpen,
-        surround=request.surround,
-        flow=request.flow,
-        components=request.components,
-        finder=finder,
-        provenance={"identity": request.identity, "versions": versions()},
-    )
-    check_folder(request.output.parent)
-    check_folder(report.parent)
-    digests = [digest_of_file(path) for path in paths]
-    with work_folder_of(request.work_folder, request.output) as folder:
-        avatar = yield from blend_steps(models, settings, folder)
-        shown = yield from _shown(avatar, models, request)
-        avatar.model.save(request.output)
-        write_text(report, avatar_page(shown))
-    return _outcome(avatar, request, report, digests, (*missing, *avatar.notes))
-
-
-def opened(path: Path) -> MorphModel:
-    """Open a model and check that its file is whole. Raises `BadInput`."""
-    if path.suffix.lower() != SUFFIX or path.is_dir():
-        raise BadInput(
-            f"{path} is no {SUFFIX} file: build a model of a clip first with `morphspace build-model`"
+    with _held(paths) as held:
+        models = [load_model(path) for path in held]
+        finder, missing = finder_for(request.landmarks)
+        settings = AvatarSettings(
+            weights=request.weights,
+            faceframe=request.faceframe,
+            reference=request.reference,
+            expressions=request.expressions,
+            method=request.method,
+            max_sd=request.max_sd,
+            sharpen=request.sharpen,
+            surround=request.surround,
+            flow=request.flow,
+            components=request.components,
+            finder=finder,
+            clips=_clips(request, models),
+            provenance={"identity": request.identity, "versions": versions()},
         )
-    check_content(path)
-    return load_model(path)
+        checked(models, settings)  # before any folder is made
+        check_folder(request.output.parent)
+        check_folder(report.parent)
+        digests = [digest_of_file(path) for path in held]
+        with work_folder_of(request.work_folder, request.output) as folder:
+            avatar = yield from blend_steps(models, settings, folder)
+            shown = yield from _shown(avatar, models, request)
+            avatar.model.save(request.output)
+            write_text(report, avatar_page(shown))
+        notes = (*((NO_FINDER,) if missing else ()), *avatar.notes, *_without_landmarks(avatar, request))
+        return _outcome(avatar, request, report, digests, notes)
 
 
 @contextlib.contextmanager
-def work_folder_of(asked: Path | None, output: Path) -> Iterator[Path]:
-    """Give the work folder. One that was not asked for goes when the work is done, and stays to resume from if not."""
-    folder = asked or output.with_name(output.name + ".work")
-    made = not folder.exists()
-    check_folder(folder)
+def _held(paths: Sequence[Path]) -> Iterator[list[Path]]:
+    """Give copies of model files for as long as they are needed, checked to be whole. Raises `BadInput`.
+
+    A model is read from its file as it is used. One that is written anew or cut short meanwhile would change under the
+    blend, or end the process.
+    """
+    with tempfile.TemporaryDirectory(prefix="morphspace-", ignore_cleanup_errors=True) as folder:
+        held = []
+        for number, path in enumerate(paths):
+            if path.suffix.lower() != SUFFIX or path.is_dir():
+                raise BadInput(
+                    f"{path} is no {SUFFIX} file: build a model of a clip first with `morphspace build-model`"
+                )
+            check_content(path)
+            copy = Path(folder) / f"{number}{SUFFIX}"
+            try:
+                shutil.copyfile(path, copy)
+            except OSError as error:
+                raise UnreadableFile(
+                    f"cannot copy {path} to {folder}, where it is held while it is blended: {error.strerror or error}"
+                ) from error
+            if not _is_unchanged(copy):
+                raise UnreadableFile(
+                    f"{path} was changed while it was read ({copy.stat().st_size} bytes came of it): let the program "
+                    "that writes it finish, then start again"
+                )
+            held.append(copy)
+        yield held
+
+
+def _is_unchanged(copy: Path) -> bool:
     try:
-        yield folder
-    except BaseException:
-        if made and not any(folder.iterdir()):
-            folder.rmdir()
-        raise
-    if asked is None:
-        remove_work(folder)
+        check_content(copy)
+    except BadInput:
+        return False
+    return True
+
+
+def _clips(request: BlendAvatarRequest, models: Sequence[MorphModel]) -> list[FramedClip] | None:
+    """Open the clips the models were built from. Raises `BadInput` where there is not one for each."""
+    if request.clips is None:
+        return None
+    check_clips(len(request.clips), len(models))
+    return [framed_for(model, (clip,), None) for model, clip in zip(models, request.clips, strict=True)]
+
+
+def _without_landmarks(avatar: Avatar, request: BlendAvatarRequest) -> tuple[str, ...]:
+    if avatar.model.landmarks is not None:
+        return ()
+    return (
+        f"{avatar.model.identity} does not know its landmarks, which `mimic --method guided` wants: run `morphspace "
+        f"keypoints {request.output} --auto`",
+    )
 
 
 def _shown(avatar: Avatar, models: Sequence[MorphModel], request: BlendAvatarRequest) -> Steps[AvatarShown]:
@@ -157,6 +203,7 @@ def _settings_shown(avatar: Avatar, request: BlendAvatarRequest) -> dict[str, st
         "bound of each loading": f"{request.max_sd:g} SD",
         "expressions": f"{len(avatar.expressions)}; of each identity {count}"
         + ("" if request.expressions is None else ", by farthest-point sampling"),
+        "frames": "rendered by the models" if request.clips is None else "of the clips",
         "reference identity": avatar.identities[avatar.reference_identity],
         "reference expression": avatar.expressions[avatar.reference].name,
         "faceframe": request.faceframe,

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
-from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
@@ -27,7 +25,7 @@ from morphspace.progress import Steps, result_of
 from morphspace.report import Case, advice_for, measure_frames, write_report
 from morphspace.storage import digest_of_array
 from morphspace.verbs.finding import Landmarks, crop_steps, finder_for
-from morphspace.verbs.outcome import Outcome, check_file, check_folder, remove_work, versions
+from morphspace.verbs.outcome import Outcome, check_file, check_folder, versions, work_folder_of
 from morphspace.warp import apply_affine, inverse_affine
 
 DEFAULT_SIDE_PX = 400  # frames larger than this are scaled to cover 200 x 240 unless a size is given
@@ -80,7 +78,7 @@ def run(request: BuildModelRequest) -> Steps[Outcome]:
     check_file(report, ".html", clip.paths)
     check_folder(output.parent)
     check_folder(report.parent)
-    with _work_folder(request.work_folder, output) as work_folder:
+    with work_folder_of(request.work_folder, output) as work_folder:
         build, notes = yield from build_clip(clip, request, work_folder)
         figures = yield from measure_frames(build)
         build.model.save(output)
@@ -124,21 +122,6 @@ def run(request: BuildModelRequest) -> Steps[Outcome]:
     case = Case(build, figures, used)
     advice = tuple(item.text for item in advice_for(case) if item.level == "mend")
     return Outcome(lines, document, (*notes, *dict.fromkeys((*build.warnings, *advice))), (output, report))
-
-
-@contextlib.contextmanager
-def _work_folder(asked: Path | None, output: Path) -> Iterator[Path]:
-    """Give the work folder. One that was not asked for goes when the build is done, and stays to resume from if not."""
-    folder = asked or output.with_name(output.name + ".work")
-    check_folder(folder)
-    try:
-        yield folder
-    except BaseException:
-        if not any(folder.iterdir()):
-            folder.rmdir()
-        raise
-    if asked is None:
-        remove_work(folder)
 
 
 def build_clip(

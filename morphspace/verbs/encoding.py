@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from morphspace.anchoring import was_anchored
-from morphspace.arrays import Image
+from morphspace.arrays import Image, LoadingVector
 from morphspace.detection import models_present
 from morphspace.detection.models import FETCH_COMMAND
 from morphspace.errors import BadInput
@@ -116,17 +116,20 @@ def notes_on_enlarging(framing: Framing, identity: str, what: str = "frames") ->
     return notes_on_framing(framing, identity, what) if framing.scaled_size[0] > framing.box[2] else ()
 
 
-def energy_outside(offset: MorphOffset, model: MorphModel) -> float:
+def energy_outside(offset: MorphOffset, model: MorphModel, inside: LoadingVector | None = None) -> float:
     """Give the energy of an offset that a model's components cannot show, in variances of its training faces.
 
-    The distance from the space (Moghaddam and Pentland 1997); see `STRANGE`.
+    The distance from the space (Moghaddam and Pentland 1997); see `STRANGE`. `inside` (k,) are the offset's loadings,
+    read from it where None.
     """
     basis = model.basis
     values = vector_of(offset.texture, offset.displacement)
-    inside = basis.project(values)  # components are orthonormal: what they hold is the sum of squares
+    if inside is None:
+        inside = basis.project(values)
     whole = float((basis.weight * values * values).sum(dtype=np.float64))
     variance = float(basis.variances.sum() + basis.discarded_variance)
-    return max(whole - float(inside @ inside), 0.0) / variance if variance > 0 else np.inf
+    held = float(inside @ inside)  # the components are orthonormal
+    return max(whole - held, 0.0) / variance if variance > 0 else np.inf
 
 
 def encoded_frames(model: MorphModel, source: FramedClip) -> Iterator[EncodedFrame]:

@@ -79,6 +79,12 @@ COLUMNS: dict[str, tuple[str, str]] = {
     "undefined": ("", "why cells of the row are empty, where they should not be"),
 }
 
+# Of each number in the file. Loadings of one clip by another build, flow or machine move measures in the third.
+DECIMALS = {"variance_percent": 3, "distance": 6, "lag_frames": 3, "alignment_steps": 0}
+P_DECIMALS = 6  # a p is a count over the permutations
+OTHERS = 4
+TEXTS = "name", "undefined"
+
 
 def component_names(count: int) -> list[str]:
     """Give the names of the rows: the components, then all together."""
@@ -176,7 +182,7 @@ def write_measures(
         "undefined": list(reasons),
     }
     table, beside = folder / "measures.csv", folder / "measures.json"
-    write_metrics_table(table, {name: values[name] for name in COLUMNS})
+    write_metrics_table(table, {name: _rounded(name, values[name]) for name in COLUMNS})
     document = {
         "format": FORMAT,
         "version": VERSION,
@@ -186,3 +192,12 @@ def write_measures(
     }
     write_text(beside, json_text(document))
     return table, beside
+
+
+def _rounded(name: str, values: Sequence[Any]) -> list[Any]:
+    """Give the numbers of a column to as many decimals as they are good for; texts as they are."""
+    if name in TEXTS:
+        return list(values)
+    others = P_DECIMALS if name.endswith(("_p", "_p_familywise")) else OTHERS
+    decimals = DECIMALS.get(name, others)
+    return [None if value is None else round(float(value), decimals) + 0.0 for value in values]

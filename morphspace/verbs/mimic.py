@@ -44,6 +44,7 @@ from morphspace.verbs.mimic_sources import (
     clip_driver,
     opened_model,
     own_detector,
+    own_detector_of,
     ready_model,
     training_driver,
 )
@@ -97,11 +98,14 @@ def run(request: MimicRequest, detector: Detector | None = None) -> Steps[Outcom
     opened = [opened_model("--src", request.source, detect), opened_model("--dst", request.target, detect)]
     _check_early(request, opened, detect)
     with told_what_stays(request.output), no_empty_folders(request.output):
-        return (yield from _steps(request, opened, detect))
+        return (yield from _steps(request, opened, detect, detector))
 
 
 def _steps(
-    request: MimicRequest, opened: Sequence[UsedModel | Clip], detect: Detector | None
+    request: MimicRequest,
+    opened: Sequence[UsedModel | Clip],
+    detect: Detector | None,
+    asked: Detector | None,
 ) -> Steps[Outcome]:
     folder = request.output
     check_folder(folder)
@@ -127,7 +131,8 @@ def _steps(
     )
     make = mimic(source.model, shown_target, method, gain=gain, max_sd=request.max_sd, origin=rest.origin)
     reach = reach_of(source.model, shown_target, gain, rest.offsets(source.model, shown_target))
-    looks = mimic_advice.looks_for_faces(driver, source.model, target.model, detect)
+    looking = detect if asked is not None else own_detector_of(source.model, driver) or detect
+    looks = mimic_advice.looks_for_faces(driver, source.model, target.model, looking)
     settings = {
         "method": method,
         "gain": gain,

@@ -17,10 +17,13 @@ import numpy as np
 
 from morphspace.arrays import AnyArray, Image
 from morphspace.detection import Detector
+from morphspace.facepoints import FacePoints
 from morphspace.files.images import read_image, write_image
 from morphspace.files.video import write_video
 from morphspace.mimic import Mimic, Quality, offset_of
 from morphspace.model import MorphModel
+from morphspace.morph import vector_of
+from morphspace.posterior import InnerProducts
 from morphspace.progress import Step, Steps, in_order
 from morphspace.reach import Reach, ReachOf
 from morphspace.report.mimic_page import PAIRS_SHOWN
@@ -76,29 +79,38 @@ class FinishedFrames:
 def frame_steps(
     source: MorphModel, make: Mimic, reach: ReachOf, work: FinishedFrames, detect: Detector | None
 ) -> Steps[list[FrameMade]]:
-    """Make each frame that is not there yet and write its picture, a few at a time; give what became of each."""
+    """Make each frame that is not there yet and write its picture, a few at a time; give what became of each.
+
+    A detector that aligns the source's frames too looks at each driving frame once.
+    """
     driver, total = work.driver, len(work.pictures)
+    read = InnerProducts(source, source.basis.weight)
     made = {place: one for place in range(total) if (one := work.read(place)) is not None}
     missing = [place for place in range(total) if place not in made]
     if made:
         yield Step("mimic", len(made), total)
     if missing:
-        make(
-            offset_of(source, np.zeros(0))
-        )  # what it prepares on first use, it prepares here, not in each thread
+        # What they prepare on first use, they prepare here, not in each thread.
+        make(offset_of(source, np.zeros(0)), np.zeros(source.rank))
         if driver.is_pictures:
-            _ = source.flow_from_reference
+            _ = source.flow_from_reference, read.weighed
+    anchor = source.anchor if detect is not None and driver.is_pictures else None
+    aligns = anchor is not None and anchor.finder.find is detect
 
     def one_frame(item: tuple[int, AnyArray]) -> tuple[int, FrameMade]:
         place, given = item
-        face = None if detect is None else _seen(detect, driver, given)
-        offset = driver.offset(driver.names[place], given)
-        mimicry = make(offset)
+        found = None if detect is None else detect(driver.picture(given))
+        face = None if detect is None else _seen(found, driver)
+        offset = driver.offset(driver.names[place], given, found if aligns else None)
+        known = (
+            read.with_offset(vector_of(offset.texture, offset.displacement)) if driver.is_pictures else given
+        )
+        mimicry = make(offset, known)
         clipped = write_image(work.pictures[place], mimicry.morph.render())
         digest = digest_of_file(work.pictures[place])
         loadings = tuple(mimicry.loadings.tolist())
-        followed = reach(offset, mimicry)
-        outside = energy_outside(offset, source) if driver.is_pictures else None
+        followed = reach(offset, mimicry, known)
+        outside = energy_outside(offset, source, known) if driver.is_pictures else None
         return place, FrameMade(loadings, mimicry.quality, followed, face, outside, clipped, digest)
 
     for place, one in in_order(one_frame, zip(missing, driver.given(missing), strict=True)):
@@ -108,13 +120,12 @@ def frame_steps(
     return [made[place] for place in range(total)]
 
 
-def _seen(detect: Detector, driver: Driver, given: AnyArray) -> FaceSeen | None:
-    """Look at a driving frame; None where nothing can be said.
+def _seen(points: FacePoints | None, driver: Driver) -> FaceSeen | None:
+    """Say what was found in a driving frame; None where nothing can be said.
 
     A training frame is looked at as its loadings draw it. It is known to be a face, so one that is not found there is a
     matter of the drawing.
     """
-    points = detect(driver.picture(given))
     if points is None:
         return FaceSeen(found=False) if driver.is_pictures else None
     if points.depth is None:

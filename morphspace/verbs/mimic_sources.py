@@ -17,6 +17,7 @@ from morphspace.arrays import AnyArray, Image
 from morphspace.build import COMPONENTS
 from morphspace.detection import Detector, load_detector, models_present
 from morphspace.errors import BadInput
+from morphspace.facepoints import FacePoints
 from morphspace.files.clips import VIDEO_SUFFIXES, Clip, open_clip
 from morphspace.flow import methods
 from morphspace.keypoints import detect_faceframe
@@ -51,9 +52,9 @@ class Driver:
 
     `names` of the frames | `digests` of what each is | `inputs` name to digest, for the record | `given` yields what is
     known of the frames at these places, one at a time: pictures (h, w, 3) of the source's size, or loadings (k,) |
-    `offset` takes one of them apart, by its name, relative to the source's mean | `picture` draws one of them (h, w, 3)
-    | `files` they lie in | `notes` on what was done to the frames | `is_pictures` tells whether faces can be looked for
-    in them.
+    `offset` takes one of them apart, by its name, relative to the source's mean, told what the source's own detector
+    found in it where that was asked | `picture` draws one of them (h, w, 3) | `files` they lie in | `notes` on what was
+    done to the frames | `is_pictures` tells whether faces can be looked for in them, or their loadings are known.
     """
 
     name: str
@@ -62,7 +63,7 @@ class Driver:
     inputs: dict[str, str]
     rate_hz: float | None
     given: Callable[[Sequence[int]], Iterator[AnyArray]]
-    offset: Callable[[str, AnyArray], MorphOffset]
+    offset: Callable[[str, AnyArray, FacePoints | None], MorphOffset]
     picture: Callable[[AnyArray], Image]
     files: tuple[Path, ...] = ()
     notes: tuple[str, ...] = ()
@@ -83,7 +84,7 @@ def training_driver(source: UsedModel) -> Driver:
         inputs={},
         rate_hz=float(rate) if rate else None,
         given=lambda places: (np.array(loadings[place], np.float64) for place in places),
-        offset=lambda name, row: offset_of(model, row),
+        offset=lambda name, row, found: offset_of(model, row),
         picture=model.render,
         is_pictures=False,
     )
@@ -94,8 +95,9 @@ def clip_driver(source: UsedModel, frames: str) -> Driver:
     model = source.model
     framed = framed_for(model, (frames,), None)
 
-    def offset(name: str, picture: Image) -> MorphOffset:
-        return model.morph_of(model.align(picture, name).image, model.flow_from_reference) - model.mean
+    def offset(name: str, picture: Image, found: FacePoints | None) -> MorphOffset:
+        aligned = model.align(picture, name, found).image
+        return model.morph_of(aligned, model.flow_from_reference) - model.mean
 
     return Driver(
         name=framed.clip.name,
@@ -116,6 +118,12 @@ def clip_driver(source: UsedModel, frames: str) -> Driver:
 def own_detector() -> Detector | None:
     """Give the detector of faces where its files have been fetched, else None."""
     return load_detector() if models_present() else None
+
+
+def own_detector_of(source: MorphModel, driver: Driver) -> Detector | None:
+    """Give the same one as the source aligns driving pictures with, so that each is looked at once; else None."""
+    anchor = source.anchor if driver.is_pictures else None
+    return None if anchor is None else anchor.finder.find
 
 
 def opened_model(role: str, given: str, detector: Detector | None) -> UsedModel | Clip:

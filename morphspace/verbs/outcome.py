@@ -12,7 +12,7 @@ import os
 import platform
 import re
 import tempfile
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cache
 from pathlib import Path
@@ -68,6 +68,22 @@ def check_folder(folder: Path) -> None:
         raise UnwritableFile(
             f"cannot write into {folder}: {error.strerror}; choose another output folder"
         ) from error
+
+
+@contextlib.contextmanager
+def work_folder_of(asked: Path | None, output: Path) -> Iterator[Path]:
+    """Give the work folder. One that was not asked for goes when the work is done, and stays to resume from if not."""
+    folder = asked or output.with_name(output.name + ".work")
+    made = not folder.exists()
+    check_folder(folder)
+    try:
+        yield folder
+    except BaseException:
+        if made and not any(folder.iterdir()):
+            folder.rmdir()
+        raise
+    if asked is None:
+        remove_work(folder)
 
 
 def remove_work(folder: Path) -> None:

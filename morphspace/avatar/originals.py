@@ -1,0 +1,88 @@
+"""The frames a model was built from, in place of what the model makes of them (Nagle section 4, step 3).
+
+A model gives its training frames back from their loadings, without what its components leave out. With the clip at hand
+the colours are the frame's own, read where the model knows each point of the mean face to have gone.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Protocol
+
+from morphspace.errors import BadInput
+from morphspace.model import MorphModel
+from morphspace.morph import Morph, morph_of
+from morphspace.workframes import FrameSource
+
+
+class Clip(FrameSource, Protocol):
+    """Frames at the model's size that know the digests of the files they come from."""
+
+    @property
+    def file_digests(self) -> tuple[str, ...]:
+        """The SHA-256 of each frame's file."""
+        ...
+
+
+@dataclass(frozen=True, eq=False)
+class Originals:
+    """The frames of `clip` as morphs of `model`, by places (n,) of its training frames in the clip."""
+
+    model: MorphModel
+    clip: Clip
+    places: tuple[int, ...]
+
+    def prepare(self) -> None:
+        """Find what all frames share: the face in the reference."""
+        _ = self.model.anchor
+
+    def morph(self, frame: int) -> Morph:
+        """Take training frame `frame` apart on the mean face."""
+        training = self.model.training
+        (image,) = self.clip.images([self.places[frame]])
+        aligned = self.model.align(image, training.frame_names[frame]).image
+        shown = self.model.expand(training.values[frame])
+        return morph_of(aligned, shown.displacement, shown.reference_id)
+
+    @property
+    def identity(self) -> bool:
+        """What the morphs depend on beside the model, which says itself what files it comes from."""
+        return self.model.anchor is not None
+
+
+def originals_of(models: Sequence[MorphModel], clips: Sequence[Clip] | None) -> list[Originals | None]:
+    """Pair each model with the clip it was built from; all None without clips. Raises `BadInput`."""
+    if clips is None:
+        return [None] * len(models)
+    check_clips(len(clips), len(models))
+    return [_checked(model, clip) for model, clip in zip(models, clips, strict=True)]
+
+
+def check_clips(clips: int, models: int) -> None:
+    """Raise `BadInput` where there is not one clip for each model."""
+    if clips != models:
+        raise BadInput(
+            f"{clips} clips do not fit {models} models: give the clip of each, in the order of the models"
+        )
+
+
+def _checked(model: MorphModel, clip: Clip) -> Originals:
+    """Check that the clip holds the very frames of the model."""
+    known = dict(zip(clip.names, zip(range(len(clip.names)), clip.file_digests, strict=True), strict=True))
+    inputs = model.provenance.get("inputs") or {}
+    places = []
+    for name in model.training.frame_names:
+        if name not in known:
+            raise BadInput(
+                f"the model of {model.identity} was built from a frame {name}, which the clip of {len(clip.names)} "
+                f"frames from {clip.names[0]} does not hold: give the clip it was built from"
+            )
+        place, digest = known[name]
+        if digest != inputs.get(name):
+            raise BadInput(
+                f"frame {name} of the clip (SHA-256 {digest[:12]}...) is not the one the model of {model.identity} was "
+                f"built from ({str(inputs.get(name))[:12]}...): give the clip it was built from"
+            )
+        places.append(place)
+    return Originals(model, clip, tuple(places))
