@@ -32,7 +32,7 @@ from morphspace.warp import move_points
 from morphspace.workframes import FLOW_VERSION, KEY_DIGITS, is_whole
 
 BLEND_FORMAT = "morphspace-blend-1"
-BLEND_VERSION = 2  # raise it when blends come out otherwise: kept pictures are then made again
+BLEND_VERSION = 3  # raise it when blends come out otherwise: kept pictures are then made again
 PIXEL_AVERAGES = 16  # expressions, evenly spread, of which the pixel average is made for comparison
 LEAST_EXPRESSIONS = 3
 KEPT = 0.77  # of the pictures' sharpness comes back from the finished model; measured on two groups of four people

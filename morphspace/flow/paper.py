@@ -53,9 +53,10 @@ def method(reference: Image) -> FlowFunction:
 
     The pictures need 16 px each way. A `start` is checked and ignored: the authors had none. Only grey is looked at:
     two colours of one luma are flat. The same gain or offset of both pictures changes nothing, while half an 8-bit code
-    of contrast is left; of one alone, it does. The mean of the two and their difference depend on both, so hardly anything is shared
-    between frames. Confidence (ours) is the share of the reference's local contrast that the frame, sampled there,
-    reproduces, 0 where there is none; it cannot see that a plain edge could as well have slid along itself.
+    of contrast is left; of one alone, it does. The mean of the two and their difference depend on both, so hardly
+    anything is shared between frames. Confidence (ours) is the share of the reference's local contrast that the
+    frame, sampled there, reproduces, 0 where there is none; it cannot see that a plain edge could as well have slid
+    along itself.
 
     Raises `BadInput` and `SizeMismatch` as `pairs.checked_pair` does.
     """
