@@ -115,11 +115,10 @@ def test_resized_planes_agree_up_and_down(ours, shape):
     height, width = shape
     for down, across in ((0.8, 0.8), (0.5, 0.5), (1 / 0.7, 1 / 0.7), (1, 2), (0.3, 3)):
         size = max(1, round(height * down)), max(1, round(width * across))
-        for rule in ("resized", "resized_linearly"):
-            found = ours.numpy(getattr(ours, rule)(ours.planes(planes), *size))
-            assert found.shape == (2, *size)
-            # codes; OpenCV rounds the position to float32
-            assert_allclose(found, getattr(CV, rule)(planes, *size), rtol=0, atol=4 * ROUNDING)
+        found = ours.numpy(ours.resized_linearly(ours.planes(planes), *size))
+        assert found.shape == (2, *size)
+        # codes; OpenCV rounds the position to float32
+        assert_allclose(found, CV.resized_linearly(planes, *size), rtol=0, atol=4 * ROUNDING)
 
 
 @pytest.mark.parametrize("shape", [*SHAPES, (90, 70)])
@@ -196,7 +195,6 @@ def test_results_are_new_planes(ours):
     x, y = positions((9, 7))
     for results in (
         lambda b, planes: b.filtered(planes, np.ones(1), np.ones(1)),
-        lambda b, planes: b.resized(planes, 9, 7),
         lambda b, planes: b.resized_linearly(planes, 9, 7),
         lambda b, planes: b.averaged(planes, 9, 7),
         lambda b, planes: b.median(planes),

@@ -13,7 +13,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from morphspace import warp
 from morphspace.errors import BadInput, SizeMismatch
-from morphspace.flow import multiscale
+from morphspace.flow import multiscale, pyramid
 from morphspace.flow.backends import OpenCVBackend
 from morphspace.flow.methods import METHODS
 from morphspace.flow.names import OURS
@@ -229,10 +229,10 @@ def test_one_shift_is_taken_only_where_it_makes_pictures_alike(picture):
 
     canvas, other = picture(60, 52, seed=3, sd_px=2.0), picture(40, 36, seed=4, sd_px=2.0)
     reference, moved_on = canvas[10:50, 8:44], canvas[4:44, 13:49]
-    assert_array_equal(multiscale._shift(planes(reference), planes(moved_on))[:, 0, 0], (-5, 6))
-    assert multiscale._shift(planes(reference), planes(reference)) is None
-    assert multiscale._shift(planes(reference), planes(0.5 * reference + 0.1)) is None
-    assert multiscale._shift(planes(reference), planes(other)) is None
+    assert_array_equal(pyramid.shift_between(planes(reference), planes(moved_on))[:, 0, 0], (-5, 6))
+    assert pyramid.shift_between(planes(reference), planes(reference)) is None
+    assert pyramid.shift_between(planes(reference), planes(0.5 * reference + 0.1)) is None
+    assert pyramid.shift_between(planes(reference), planes(other)) is None
 
 
 # starts
@@ -240,7 +240,7 @@ def test_one_shift_is_taken_only_where_it_makes_pictures_alike(picture):
 
 @pytest.mark.parametrize("name", PRESETS)
 def test_a_right_start_is_taken_up_where_coarse_to_fine_is_lost(picture, wavy_field, name, monkeypatch):
-    monkeypatch.setattr(multiscale, "_shift", lambda reference, frame: None)  # it would find this one
+    monkeypatch.setattr(multiscale, "shift_between", lambda reference, frame: None)  # it would find this one
     reference, frame, truth, inside = moved(picture, 30, 0, size=112, sd_px=2.0)
     rough = truth + wavy_field(112, 112, 1.0, seed=8, sd_px=8.0)
     to_frame = METHODS[name](reference)

@@ -73,10 +73,6 @@ class Backend(Protocol):
         """Read the planes at (x, y) px linearly, clamped at the edge."""
         ...
 
-    def resized(self, planes: Planes, height: int, width: int) -> Planes:
-        """Scale the planes bicubically; smooth before scaling down."""
-        ...
-
     def resized_linearly(self, planes: Planes, height: int, width: int) -> Planes:
         """Scale the planes bilinearly: for fields, in which nothing may overshoot."""
         ...
@@ -179,7 +175,8 @@ class OpenCVBackend:
             cv2.remap(plane, x, y, cv2.INTER_LINEAR, dst=target, borderMode=cv2.BORDER_REPLICATE)
         return out
 
-    def resized(self, planes: AnyArray, height: int, width: int) -> AnyArray:
+    def shrunk(self, planes: AnyArray, height: int, width: int) -> AnyArray:
+        """Scale the planes bicubically; of pictures, which are smoothed before. No part of `Backend`."""
         return _resized(planes, height, width, cv2.INTER_CUBIC)
 
     def resized_linearly(self, planes: AnyArray, height: int, width: int) -> AnyArray:

@@ -111,3 +111,12 @@ def derivatives(
 def up_to(order: int) -> tuple[tuple[int, int], ...]:
     """List all (i, j) with i + j <= `order`, by total order: (0, 0), (1, 0), (0, 1), (2, 0), ..."""
     return tuple((total - down, down) for total in range(order + 1) for down in range(total + 1))
+
+
+@lru_cache(maxsize=64)
+def bell(sd_px: float) -> AnyArray:
+    """Give a Gaussian (n,) that is nowhere negative: a weighted sum of squares must stay one."""
+    radius = ceil(2 * sd_px)
+    at = np.arange(-radius, radius + 1)
+    kernel = np.exp(-(at**2) / (2 * sd_px**2))
+    return kernel / kernel.sum()

@@ -12,17 +12,15 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import cache, lru_cache, partial
-from math import ceil, sqrt
+from functools import cache, partial
 from typing import Any
 
 import cv2
 import numpy as np
 
-from morphspace.arrays import AnyArray, Displacement, Image
+from morphspace.arrays import Displacement, Image
 from morphspace.flow import Flow, FlowFunction, FlowMethod
 from morphspace.flow.backends import Backend, OpenCVBackend, Planes
-from morphspace.flow.baselines import LUMA
 from morphspace.flow.constraints import (
     Appearance,
     Channels,
@@ -35,17 +33,12 @@ from morphspace.flow.constraints import (
     outside,
     tensor,
 )
+from morphspace.flow.filters import bell
 from morphspace.flow.folds import suspects_when_enlarged, unfolded
 from morphspace.flow.pairs import checked_frame, checked_picture, checked_start, unknown_flow
 from morphspace.flow.presets import Preset
+from morphspace.flow.pyramid import colour_planes, is_flat, pyramid, shift_between
 
-CODES = 255.0  # the estimator thinks in 8-bit codes
-LEAST_CONTRAST_CODES = (
-    0.5  # between the darkest and the brightest value of a plane; below it there is nothing to find
-)
-FINEST_PX = 72  # the shorter side below which the last scale is not scaled down
-LEAST_SIDE_PX = 16  # of the coarsest scale
-LEAST_BLUR_PX = 0.3  # before scaling down
 COARSE_PX = (
     160  # the longer side of scales at which raw values lead: lips are a few px there, their colour is seen
 )
@@ -61,10 +54,6 @@ LEAST_CONTRAST = (
     0.02  # of a pixel's channels, which sum to the weights where there is texture; a half at this
 )
 MISSED_PX = 4.0  # of the way there and back at which confidence is a half and falls off fast
-SHIFTED = (
-    0.3  # squared difference over the sum of squares, at the coarsest scale, from which a shift is sought
-)
-CLOSER = 0.5  # and the share of one less the correlation that it has to leave
 UNLIKE_PX = 0.7  # the same for the channels, rms; those of two unrelated textures miss by a pixel and more
 
 
@@ -86,17 +75,12 @@ def method(preset: Preset, backend: Backend | None = None) -> FlowMethod:
 
 
 def matcher(reference: Image, preset: Preset, backend: Backend) -> FlowFunction:
-    """Prepare a reference (h, w, 3), and give the function that finds frames from it.
-
-    Pyramids are OpenCV's with every backend: smoothers round their guides to whole codes, and what two backends give
-    a little differently would now and then be rounded to different ones.
-    """
+    """Prepare a reference (h, w, 3), and give the function that finds frames from it."""
     reference = checked_picture(reference, "the reference")
     height, width = reference.shape[:2]
-    common = OpenCVBackend()
-    planes = _colour_planes(reference, preset, common)
-    empty = _is_flat(planes)
-    scales, centre = _pyramid(planes, preset, common)
+    planes = colour_planes(reference, preset)
+    empty = is_flat(planes)
+    scales, centre = pyramid(planes, preset)
     levels = [
         _reference_level(
             backend.planes(scaled),
@@ -109,16 +93,16 @@ def matcher(reference: Image, preset: Preset, backend: Backend) -> FlowFunction:
 
     def to_frame(frame: Image, start: Displacement | None = None) -> Flow:
         frame = checked_frame(reference, frame)
-        planes = _colour_planes(frame, preset, common)
-        if empty or _is_flat(planes):
+        planes = colour_planes(frame, preset)
+        if empty or is_flat(planes):
             return unknown_flow(height, width)
-        found_scales, _ = _pyramid(planes, preset, common)
+        found_scales, _ = pyramid(planes, preset)
         target = [backend.planes(scaled) for scaled in found_scales]
         given, first = None, None
         if start is not None:
             given = backend.planes(checked_start(start, height, width).transpose(2, 0, 1))
         else:
-            shift = _shift(scales[-1], found_scales[-1])
+            shift = shift_between(scales[-1], found_scales[-1])
             first = None if shift is None else backend.planes(shift)
         field, confidence = _matched(levels, target, preset, backend, given, first)
         found = backend.numpy(field)
@@ -134,80 +118,11 @@ def matcher(reference: Image, preset: Preset, backend: Backend) -> FlowFunction:
     return to_frame
 
 
-def _shift(reference: AnyArray, frame: AnyArray) -> AnyArray | None:
-    """Give the field (2, h, w) of one shift between two small pictures (c, h, w), where only that makes them alike.
-
-    The flow finds motions of a few pixels of its coarsest scale. Where a camera moved further, nothing is alike as the
-    pictures lie; the middle of the reference is then looked up in the whole frame by normalised correlation.
-    """
-    unlike = float(((reference - frame) ** 2).sum())
-    if unlike < SHIFTED * float((reference**2).sum() + (frame**2).sum()):
-        return None
-    _, height, width = reference.shape
-    top, left = height // 4, width // 4
-    middle = reference[:, top : height - top, left : width - left]
-    likeness = cv2.matchTemplate(
-        cv2.merge(tuple(frame)), cv2.merge(tuple(np.ascontiguousarray(middle))), cv2.TM_CCOEFF_NORMED
-    )
-    _, most, _, (across, down) = cv2.minMaxLoc(likeness)
-    if 1 - most > CLOSER * (1 - float(likeness[top, left])):
-        return None
-    out = np.empty((2, height, width), np.float32)
-    out[0], out[1] = across - left, down - top
-    return out
-
-
 def _smoother(guide: Planes, preset: Preset, backend: Backend) -> Callable[[Planes], Planes]:
     """Give the smoother of a scale: at small ones that which has the least to prepare."""
     small = max(guide.shape[1:]) <= preset.recursive_px
     make = backend.recursive_smoother if small else backend.smoother
     return make(guide, preset.strength, preset.edge_codes)
-
-
-def _colour_planes(image: Image, preset: Preset, backend: Backend) -> Planes:
-    """Give the planes the preset compares, in codes."""
-    mixing = LUMA[None] if preset.colours == "grey" else np.eye(3, dtype=np.float32)
-    mixed = cv2.transform(image, mixing * np.float32(CODES))
-    return backend.planes(mixed[None] if mixed.ndim == 2 else mixed.transpose(2, 0, 1))
-
-
-def _is_flat(planes: Planes) -> bool:
-    """Tell whether no plane varies by half a code: nothing can be found in such a picture."""
-    return all(float(plane.max() - plane.min()) < LEAST_CONTRAST_CODES for plane in planes)
-
-
-def _pyramid(planes: Planes, preset: Preset, backend: Backend) -> tuple[list[Planes], Planes]:
-    """Give the picture at every scale, finest first, less a middle value of each plane; and that, (c, 1, 1).
-
-    No channel needs it, and derivatives of smaller numbers are rounded less. It is the median of every fourth pixel
-    each way.
-    """
-    height, width = planes.shape[1:]
-    share = min(1.0, max(preset.finest, FINEST_PX / min(height, width)))
-    if share < 1:
-        planes = _shrunk(planes, share, round(height * share), round(width * share), backend)
-    centre = backend.xp.stack([backend.middle(plane[::4, ::4]) for plane in planes])[:, None, None]
-    scales = [planes - centre]
-    while min(height, width) * share * preset.factor >= LEAST_SIDE_PX:
-        share *= preset.factor
-        scales.append(
-            _shrunk(scales[-1], preset.factor, round(height * share), round(width * share), backend)
-        )
-    return scales, centre
-
-
-def _shrunk(planes: Planes, factor: float, height: int, width: int, backend: Backend) -> Planes:
-    blur = _bell(max(0.5 * sqrt(1 / factor**2 - 1), LEAST_BLUR_PX))
-    return backend.resized(backend.filtered(planes, blur, blur), height, width)
-
-
-@lru_cache(maxsize=64)
-def _bell(sd_px: float) -> AnyArray:
-    """Give a Gaussian (n,) that is nowhere negative: a weighted sum of squares must stay one."""
-    radius = ceil(2 * sd_px)
-    at = np.arange(-radius, radius + 1)
-    kernel = np.exp(-(at**2) / (2 * sd_px**2))
-    return kernel / kernel.sum()
 
 
 def _reference_level(
@@ -364,7 +279,7 @@ def _step(
     A field that comes without a dual comes from a coarser scale and is smooth as it is: its first round is spared.
     """
     moved = field
-    blur = _bell(preset.integration_px) if preset.integration_px else None
+    blur = bell(preset.integration_px) if preset.integration_px else None
     for number in range(rounds):
         weighted = _robust(constraint, seen, moved - field if number > 0 else None, preset, backend)
         if blur is not None:
@@ -422,7 +337,7 @@ def _likeness(
 
     It is 0 where they miss by far, have nothing to meet, or the point lies outside the frame.
     """
-    blur = _bell(SURROUNDINGS_PX)
+    blur = bell(SURROUNDINGS_PX)
     xp = backend.xp
     strength = constraint.sums[0] + constraint.sums[1]
     off = constraint.residual(change[0], change[1]) / channels.together
@@ -451,7 +366,7 @@ def _with_rivals(
     backend: Backend,
 ) -> Planes:
     """Let each pixel take over the start, or the motion of a pixel near by, where that looks clearly more alike."""
-    blur = _bell(SURROUNDINGS_PX)
+    blur = bell(SURROUNDINGS_PX)
     xp = backend.xp
     looks = level.appearance()
 

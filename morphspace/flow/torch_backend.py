@@ -26,7 +26,6 @@ except ModuleNotFoundError as error:
         "the flow cannot run on torch, which is not installed: install morphspace[torch]"
     ) from error
 
-CUBIC_A = -0.75  # the slope at 1 px of the bicubic kernel that OpenCV has
 AREA_SLIVER_PX = 1e-3  # OpenCV leaves out a pixel of which an area covers less
 SMOOTHER_ROUNDS = 3  # OpenCV's defaults: so many rounds,
 SMOOTHER_ATTENUATION = 0.25  # and each with so much of the strength before
@@ -93,9 +92,6 @@ class TorchBackend:
         upper = torch.lerp(flat[:, top * width + left], flat[:, top * width + right], from_right)
         lower = torch.lerp(flat[:, bottom * width + left], flat[:, bottom * width + right], from_right)
         return torch.lerp(upper, lower, from_bottom)
-
-    def resized(self, planes: Planes, height: int, width: int) -> Planes:
-        return self._rescaled(planes, height, width, "cubic")
 
     def resized_linearly(self, planes: Planes, height: int, width: int) -> Planes:
         return self._rescaled(planes, height, width, "linear")
@@ -224,23 +220,6 @@ def _repeat_table(size: int, reach: int) -> tuple[AnyArray, AnyArray]:
     return np.clip(np.arange(-reach, size + reach), 0, size - 1), np.ones(1)
 
 
-def _cubic_table(old: int, new: int) -> tuple[AnyArray, AnyArray]:
-    """Give the four pixels, (4, new), that each pixel of a rescaled line is made of, and their weights."""
-    position = (np.arange(new) + 0.5) * (old / new) - 0.5
-    whole = np.floor(position)
-    f = position - whole
-
-    def far(d: AnyArray) -> AnyArray:
-        return ((CUBIC_A * d - 5 * CUBIC_A) * d + 8 * CUBIC_A) * d - 4 * CUBIC_A
-
-    def near(d: AnyArray) -> AnyArray:
-        return ((CUBIC_A + 2) * d - (CUBIC_A + 3)) * d * d + 1
-
-    weight = np.stack([far(f + 1), near(f), near(1 - f), far(2 - f)])
-    source = np.clip(whole.astype(np.int64) + np.arange(-1, 3)[:, None], 0, old - 1)
-    return source, weight
-
-
 def _linear_table(old: int, new: int) -> tuple[AnyArray, AnyArray]:
     """Give the two pixels, (2, new), that each pixel of a rescaled line is made of, and their weights."""
     position = (np.arange(new) + 0.5) * (old / new) - 0.5
@@ -270,7 +249,6 @@ RULES = {
     "mirror": _mirror_table,
     "repeat": _repeat_table,
     "linear": _linear_table,
-    "cubic": _cubic_table,
     "area": _area_table,
 }
 
