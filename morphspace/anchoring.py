@@ -31,9 +31,9 @@ from morphspace.facepoints import (
     RIGID_POINTS,
     FacePoints,
 )
-from morphspace.faces import fitted_similarity
 from morphspace.flow import Flow, FlowFunction
 from morphspace.flow.folds import unfolded
+from morphspace.registration import fitted_similarity
 
 # Between the rings, so that the spline has something to hold there.
 CHEEKS_AND_CHIN = (50, 280, 205, 425, 199, 200)

@@ -1,4 +1,4 @@
-"""Frames of a face and how they are brought to the reference: framing, registration, faceframe, mask.
+"""Frames of a face: how they are cut out of pictures, moved to the reference, and where the face lies in them.
 
 Rigid head movement must not end up in the warp fields (Nagle section 2), so each frame is first moved by a similarity
 that was fitted on the rigid part of the face. The movement is kept with the frame, so that a rendered face can be put
@@ -7,7 +7,6 @@ back where it came from.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Literal
 
@@ -15,9 +14,8 @@ import cv2
 import numpy as np
 
 from morphspace import warp
-from morphspace.arrays import Affine, AnyArray, Displacement, Image, Mask, Points
+from morphspace.arrays import Affine, Image, Mask, Points
 from morphspace.errors import BadInput
-from morphspace.flow.baselines import LUMA, grey_codes
 
 RegistrationKind = Literal["none", "similarity", "affine"]
 REGISTRATION_KINDS: tuple[RegistrationKind, ...] = ("none", "similarity", "affine")
@@ -31,19 +29,6 @@ RIGID_FROM_FACEFRAME = (0.0, 0.15, 1.0, 0.75)
 MOUTH_ELLIPSE = (0.50, 0.77, 0.19, 0.11)  # below the nostrils, which are dark too
 MOUTH_FROM_FACEFRAME = (0.0, 1.4, 0.6, 0.5)
 SOFT_EDGE = 0.15  # of the radius, over which a mask falls from 1 to 0
-REGISTRATION_PASSES = (
-    2  # the second measures the flow again on the aligned frame, where it is small and exact
-)
-ROBUST_PASSES = 10  # of reweighting; forty moved the eyes by 0.01 to 0.18 px on three clips
-ANCHORS = 2500  # points at most, evenly spread; all of them moved the eyes by 0.01 to 0.07 px on three clips
-SCALE_FLOOR_PX = 0.2  # residuals below this are flow noise, not expression
-ONE_PLACE = 0.005  # of the width; movements nearer to each other than this lead to the same place
-HOPELESS = (
-    1.2  # times the standing error; a start that knows better than a flow that is lost is not behind it
-)
-CLEARLY_ALIKE = 0.95  # times the standing error; two ways to the same place differ by less
-CORNER_WINDOW_PX = 7
-CORNER_PERCENTILE = 80  # texture above this percentile of the rigid part counts in full
 
 
 @dataclass(frozen=True, eq=False)
@@ -163,157 +148,6 @@ def aligned(image: Image, name: str, registration: Affine) -> Frame:
 def identity_affine() -> Affine:
     """Give the affine (2, 3) that moves nothing."""
     return np.eye(2, 3)
-
-
-def register(
-    reference: Image, image: Image, kind: RegistrationKind, region: Mask, start: Affine | None = None
-) -> Affine:
-    """Fit the head movement between the reference and an image, (2, 3): reference(p) ~ image(A p) on the rigid part.
-
-    Dense flow gives the matches; `region` (h, w) says where the rigid part of the face lies; texture says where the
-    flow can be believed; reweighted least squares (Geman and McClure's weights) leave out what moves by itself. Flow
-    loses a head that moved or turned far. A `start` (2, 3) that knows better, such as landmarks give, is tried as well
-    where it lies elsewhere, and what it leads to is kept where the rigid part then looks clearly more alike.
-    """
-    if kind == "none":
-        return identity_affine()
-    points, weights = _anchor_points(reference, region)
-    if weights.sum() <= 0:
-        return identity_affine()
-
-    columns, rows = points[:, 0].astype(np.intp), points[:, 1].astype(np.intp)
-    grey, luma = grey_codes(reference), image @ LUMA
-    read_luma = warp.spline_reader([luma])
-    width = reference.shape[1]
-
-    def passed(total: Affine) -> Affine:
-        """Correct a movement once, by the flow that is left after it."""
-        moved = luma
-        if not np.array_equal(total, identity_affine()):
-            moved = read_luma(*_moved_grid(total, (0, 0), grey.shape))[0]
-        field = dis_of_codes(grey, codes_of_luma(moved))
-        step = _robust_affine(points, points + field[rows, columns], weights, kind)
-        return warp.chain_affine(total, step)
-
-    found = identity_affine()
-    for _ in range(REGISTRATION_PASSES):
-        found = passed(found)
-    if start is None or _apart_px(found, start, points) < ONE_PLACE * width:
-        return found
-    error = _rigid_error_of(reference, image, region)
-    other, standing = start, error(found)
-    if error(other) > HOPELESS * standing:
-        return found
-    for _ in range(REGISTRATION_PASSES):
-        other = passed(other)
-        if _apart_px(found, other, points) < ONE_PLACE * width:
-            return found
-    return other if error(other) < CLEARLY_ALIKE * standing else found
-
-
-def _apart_px(one: Affine, other: Affine, points: Points) -> float:
-    """Give how far two movements take the points (n, 2) px apart at most."""
-    return float(np.hypot(*(warp.apply_affine(one, points) - warp.apply_affine(other, points)).T).max())
-
-
-def _moved_grid(
-    movement: Affine, corner: tuple[int, int], shape: tuple[int, ...]
-) -> tuple[AnyArray, AnyArray]:
-    """Give where a movement takes the pixels of a box at `corner` (x, y): x and y, (h, w) px each."""
-    x = np.arange(corner[0], corner[0] + shape[1], dtype=np.float64)
-    y = np.arange(corner[1], corner[1] + shape[0], dtype=np.float64)[:, None]
-    if not np.isfinite(movement).all():
-        raise BadInput("the movement of a head came out as not finite: look at the image it was measured in")
-    at_x, at_y = (movement[i, 0] * x + movement[i, 1] * y + movement[i, 2] for i in (0, 1))
-    return at_x.astype(np.float32), at_y.astype(np.float32)
-
-
-def _rigid_error_of(reference: Image, image: Image, region: Mask) -> Callable[[Affine], float]:
-    """Give the function that tells how far the moved image misses the reference on its rigid part.
-
-    Root mean square colour, 0 to 1. Only the box that holds the part is read.
-    """
-    rows, columns = (np.flatnonzero(region.any(axis=axis)) for axis in (1, 0))
-    box = slice(rows[0], rows[-1] + 1), slice(columns[0], columns[-1] + 1)
-    wanted, weight = reference[box], region[box]
-    read = warp.spline_reader([image[..., channel] for channel in range(3)])
-
-    def error(movement: Affine) -> float:
-        seen = read(*_moved_grid(movement, (int(columns[0]), int(rows[0])), weight.shape))
-        difference = np.moveaxis(seen, 0, -1) - wanted
-        square = (difference * difference).mean(axis=2)
-        return float(np.sqrt((square * weight).sum() / weight.sum()))
-
-    return error
-
-
-def codes_of_luma(luma: AnyArray) -> AnyArray:
-    """Give luma (h, w) in [0, 1] as uint8, as `grey_codes` does of a picture."""
-    return np.clip(luma * 255 + 0.5, 0, 255).astype(np.uint8)
-
-
-def dis_of_codes(reference: AnyArray, frame: AnyArray) -> Displacement:
-    """Estimate the flow between grey pictures (h, w) uint8 by dense inverse search, preset "medium"; rough, and fast.
-
-    The same as `flow.baselines.dis_medium` finds, which starts from colours.
-    """
-    estimator = cv2.DISOpticalFlow.create(cv2.DISOPTICAL_FLOW_PRESET_MEDIUM)
-    field: Displacement = estimator.calc(reference, frame, None)
-    return field
-
-
-def _anchor_points(reference: Image, region: Mask) -> tuple[Points, AnyArray]:
-    corners = cv2.cornerMinEigenVal(grey_codes(reference), CORNER_WINDOW_PX)
-    full = np.percentile(corners[region > 0.5], CORNER_PERCENTILE) if (region > 0.5).any() else 0.0
-    weight = region * np.minimum(corners / full, 1) if full > 0 else np.zeros_like(region)
-    y, x = np.nonzero(weight > 1e-3)
-    every = max(1, len(x) // ANCHORS)
-    y, x = y[::every], x[::every]
-    return np.column_stack([x, y]).astype(np.float64), weight[y, x].astype(np.float64)
-
-
-def _robust_affine(source: Points, target: Points, prior: AnyArray, kind: RegistrationKind) -> Affine:
-    fit = _similarity if kind == "similarity" else _affine
-    source, target = np.ascontiguousarray(source.T), np.ascontiguousarray(target.T)  # (2, m): half the time
-    weight = prior
-    found = identity_affine()
-    for _ in range(ROBUST_PASSES):
-        found = fit(source, target, weight)
-        apart = target - found[:, :2] @ source
-        apart -= found[:, 2:]
-        apart *= apart
-        square = apart[0] + apart[1]
-        scale = max(SCALE_FLOOR_PX, 1.4826 * float(np.median(np.sqrt(square))))
-        square /= scale**2
-        square += 1
-        square *= square
-        weight = prior / square
-    return found
-
-
-def fitted_similarity(source: Points, target: Points) -> Affine:
-    """Fit scale, turn and shift, (2, 3), between points (m, 2) and (m, 2), robustly: those far off count little."""
-    return _robust_affine(source, target, np.ones(len(source)), "similarity")
-
-
-def _similarity(source: AnyArray, target: AnyArray, weight: AnyArray) -> Affine:
-    """Fit scale, turn and shift of points (2, m) by weighted least squares (Umeyama 1991, without reflection)."""
-    total = weight.sum()
-    from_mean, to_mean = source @ weight / total, target @ weight / total
-    both = np.concatenate([source - from_mean[:, None], target - to_mean[:, None]])
-    products = (both[:2] * weight) @ both.T  # (2, 4): this runs some forty times a frame
-    spread = products[0, 0] + products[1, 1]
-    cosine = (products[0, 2] + products[1, 3]) / spread
-    sine = (products[0, 3] - products[1, 2]) / spread
-    linear = np.array([[cosine, -sine], [sine, cosine]])
-    return np.column_stack([linear, to_mean - linear @ from_mean])
-
-
-def _affine(source: AnyArray, target: AnyArray, weight: AnyArray) -> Affine:
-    root = np.sqrt(weight)[:, None]
-    design = np.column_stack([source.T, np.ones(len(weight))])
-    solution, *_ = np.linalg.lstsq(design * root, target.T * root, rcond=None)
-    return np.asarray(solution.T)
 
 
 def face_mask(height: int, width: int, faceframe: FaceFrame | None = None) -> Mask:

@@ -25,13 +25,13 @@ from morphspace.faces import (
     Frame,
     RegistrationKind,
     aligned,
-    register,
     rigid_region,
 )
 from morphspace.flow import FlowFunction, methods
 from morphspace.landmarks import LandmarkRegression
 from morphspace.modelfile import FORMAT, FORMAT_VERSION, content_digest, read_model_file
 from morphspace.morph import Morph, MorphOffset, morph_of, parts_of, resource, vector_of
+from morphspace.registration import Registration
 from morphspace.storage import digest_of_array, digest_of_json, write_container
 
 
@@ -128,8 +128,9 @@ class MorphModel:
         return anchor_of_build(self.reference, self.provenance)
 
     @cached_property
-    def _rigid_region(self) -> Mask:
-        return rigid_region(self.size[1], self.size[0], self.reference_faceframe)
+    def _head(self) -> Registration:
+        region = rigid_region(self.size[1], self.size[0], self.reference_faceframe)
+        return Registration(self.reference, self.registration, region)
 
     def align(self, image: Image, name: str = "image", found: FacePoints | None = None) -> Frame:
         """Bring an image (h, w, 3) of the model's size to the reference, as the build did with its frames.
@@ -139,9 +140,7 @@ class MorphModel:
         self._check_size(image, name)
         anchor = None if self.registration == "none" else self.anchor
         start = None if anchor is None else anchor.movement(image, found)
-        return aligned(
-            image, name, register(self.reference, image, self.registration, self._rigid_region, start)
-        )
+        return aligned(image, name, self._head.of(image, start))
 
     def morph_of(self, image: Image, flow: FlowFunction | None = None) -> Morph:
         """Take an aligned image apart on the mean face: flow from the reference, re-sourced, then its texture."""

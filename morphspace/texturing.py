@@ -61,20 +61,28 @@ class Texturing:
 
     def offset(self, loadings: LoadingVector) -> AnyArray:
         """Give the mean-relative vector (5 h w,) of a face: its colours mixed, its warp that of the loadings (k,)."""
-        by_warp = self.model.basis.expand(loadings, slice(3 * self.model.mask.size, None))
-        return np.concatenate([self.change(loadings).reshape(-1), by_warp])
+        colours = 3 * self.model.mask.size
+        out = np.empty(5 * self.model.mask.size, np.float32)
+        out[:colours] = self.change(loadings).reshape(-1)
+        out[colours:] = self.model.basis.expand(loadings, slice(colours, None))
+        return out
 
     def change(self, loadings: LoadingVector) -> Image:
         """Give the texture (h, w, 3) of the face of loadings (k,), relative to the mean's.
 
         A training face keeps its own, and so does the mean.
         """
-        mixed = [np.asarray(self.mixed(part, loadings), np.float32) @ part.colours for part in self.parts]
-        stacked = np.concatenate(mixed).reshape(-1, 3)
+        stacked = np.empty((sum(len(part.places) for part in self.parts), 3), np.float32)
+        start = 0
+        for part in self.parts:
+            end = start + len(part.places)
+            mixture = np.asarray(self.mixed(part, loadings), np.float32)
+            np.dot(mixture, part.colours, out=stacked[start:end].reshape(-1))
+            start = end
         first, further = self.layers
         out = np.take(stacked, first, axis=0)
         for places, rows in further:
-            out[places] += stacked[rows]
+            out[places] = np.take(out, places, axis=0) + np.take(stacked, rows, axis=0)
         return out.reshape(*self.model.mask.shape, 3)
 
     def mixed(self, part: Part, loadings: LoadingVector) -> LoadingVector:

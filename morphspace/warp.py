@@ -20,14 +20,12 @@ import numpy as np
 
 from morphspace.arrays import Affine, AnyArray, Displacement, Image, Mask, Points
 from morphspace.errors import BadInput
+from morphspace.triangles import MovedGrid
 
 SPLINE_POLE = np.sqrt(3.0) - 2.0  # of the cubic B-spline's inverse filter
 SPLINE_TAPS = 15  # a side; the pole to this power is 3e-9, below float32
 STRIP_PX = 2**14  # read at a time: some twenty planes of a strip fit in the cache
-EDGE_TOLERANCE = 1e-4  # cells; a pixel on a shared edge belongs to both triangles, so that no crack opens
-MARGIN_PX = (
-    2.0  # beyond the largest displacement: the ring of cells that continues the field outside the grid
-)
+FIXED_POINT_STEPS = 2  # before the triangles are asked; more find few pixels more
 
 
 def sample(image: Image, displacement: Displacement) -> Image:
@@ -195,160 +193,30 @@ def invert(displacement: Displacement) -> Displacement:
     inverse is exact on them. Outside the grid the field goes on with its edge values. Where the field folds, several
     points land on one pixel: the one whose triangle is most stretched wins, and a triangle turned over (determinant
     <= 0) loses against any that is not. A pixel that no triangle covers takes the value of the nearest that is
-    covered.
+    covered. Raises `BadInput` where the field is not finite.
     """
+    _check_positions(displacement[..., 0], displacement[..., 1])
+    grid = MovedGrid(displacement)
+    back, is_known = grid.walked(_fixed_point(displacement))
+    doubtful = ~is_known | grid.where_folds
+    if not doubtful.any():
+        return back
+    searched, is_covered = grid.searched(doubtful)
+    inverse = np.where(doubtful[..., None], searched, back)
+    missing = doubtful & ~is_covered
+    return _filled_from_nearest(inverse, missing) if missing.any() else inverse
+
+
+def _fixed_point(displacement: Displacement) -> tuple[AnyArray, AnyArray]:
+    """Give about where each pixel comes from, x and y px (h, w): a few steps of p = q - u(p)."""
     height, width = displacement.shape[:2]
-    moved_x, moved_y, step_x, step_y = _moved_grid(displacement)
-    cell, qx, qy = _candidates(moved_x, moved_y, height, width)
-    triangles = _triangles(moved_x, moved_y)
-    hit, number, along, beside = _hits(triangles, cell, qx, qy)
-    qx, qy = qx[hit], qy[hit]
-    start_x, edge_x, start_y, edge_y = (source[number] for source in _sources(step_x, step_y))
-    back_x = start_x + along * edge_x - qx
-    back_y = start_y + beside * edge_y - qy
-    target = qy * width + qx
-    covered = np.bincount(target, minlength=height * width)
-    inverse = np.empty((height * width, 2), np.float32)
-    inverse[target, 0] = back_x
-    inverse[target, 1] = back_y
-    if covered.max(initial=0) > 1:  # those that are hit more than once are written again
-        several = np.flatnonzero(covered[target] > 1)
-        at_rest = edge_x[several] * edge_y[several]  # 1, but for the cells of the ring
-        stretch = triangles[STRETCH].reshape(-1)[number[several]] / at_rest
-        # The most stretched stays; ties keep raster order.
-        least_first = several[np.argsort(stretch, kind="stable")]
-        inverse[target[least_first], 0] = back_x[least_first]
-        inverse[target[least_first], 1] = back_y[least_first]
-    inverse = inverse.reshape(height, width, 2)
-    missing = (covered == 0).reshape(height, width)
-    if missing.any():
-        inverse = _filled_from_nearest(inverse, missing)
-    return inverse
-
-
-def _moved_grid(displacement: Displacement) -> tuple[AnyArray, AnyArray, AnyArray, AnyArray]:
-    """Give the moved vertices (h + 2, w + 2), x and y, and the places they came from along each axis.
-
-    The outermost ring stands far outside the grid and moves with the edge, so that the cells cover every pixel.
-    """
-    height, width = displacement.shape[:2]
-    margin = np.float32(np.abs(displacement).max(initial=0) + MARGIN_PX)
-    step_x = np.concatenate([[-margin], np.arange(width), [width - 1 + margin]]).astype(np.float32)
-    step_y = np.concatenate([[-margin], np.arange(height), [height - 1 + margin]]).astype(np.float32)
-    ringed = cv2.copyMakeBorder(displacement, 1, 1, 1, 1, cv2.BORDER_REPLICATE)
-    return ringed[..., 0] + step_x, ringed[..., 1] + step_y[:, None], step_x, step_y
-
-
-def _sources(step_x: AnyArray, step_y: AnyArray) -> tuple[AnyArray, AnyArray, AnyArray, AnyArray]:
-    """Give where each triangle's corner o stood before it moved, and how far its edges reached: x, dx, y, dy, flat."""
-    shape = (len(step_y) - 1, len(step_x) - 1)
-    wide, high = np.diff(step_x), np.diff(step_y)
-    columns = np.array(
-        [[step_x[:-1], step_x[1:]], [wide, -wide]]
-    )  # upper triangles start left, lower ones right
-    rows = np.array([[step_y[:-1], step_y[1:]], [high, -high]])
-    spread_x = np.broadcast_to(columns[:, :, None, :], (2, 2, *shape)).reshape(2, -1)
-    spread_y = np.broadcast_to(rows[:, :, :, None], (2, 2, *shape)).reshape(2, -1)
-    return spread_x[0], spread_x[1], spread_y[0], spread_y[1]
-
-
-def _candidates(x: AnyArray, y: AnyArray, height: int, width: int) -> tuple[AnyArray, AnyArray, AnyArray]:
-    """Give every (cell, pixel x, pixel y) where the pixel lies in the moved cell's bounding box; about one a pixel."""
-    first_x, last_x = _pixels_across(x, width)
-    first_y, last_y = _pixels_across(y, height)
-    wide, high = last_x - first_x + 1, last_y - first_y + 1
-    count = np.where((wide > 0) & (high > 0), wide * high, 0)
-    busy = np.flatnonzero(count)
-    count = count[busy]
-    cell = np.repeat(busy, count)
-    place = np.arange(cell.size, dtype=np.int32) - np.repeat(np.cumsum(count, dtype=np.int32) - count, count)
-    first_x, first_y = first_x[cell], first_y[cell]
-    beyond = np.flatnonzero(place)  # most cells hold one pixel, and need no division
-    row, column = np.divmod(place[beyond], wide[cell[beyond]])
-    first_x[beyond] += column
-    first_y[beyond] += row
-    return cell, first_x, first_y
-
-
-def _pixels_across(corners: AnyArray, size: int) -> tuple[AnyArray, AnyArray]:
-    """Give the first and the last pixel along one axis that each cell can cover, flat int32."""
-    above, below = corners[:-1], corners[1:]
-    least = np.minimum(above, below)
-    most = np.maximum(above, below)
-    least = np.minimum(least[:, :-1], least[:, 1:]) - EDGE_TOLERANCE
-    most = np.maximum(most[:, :-1], most[:, 1:]) + EDGE_TOLERANCE
-    first = np.ceil(np.maximum(least, 0)).astype(np.int32)
-    last = np.floor(np.minimum(most, size - 1)).astype(np.int32)
-    return first.reshape(-1), last.reshape(-1)
-
-
-STRETCH = 6  # the row of `_triangles` that holds the determinant
-
-
-def _triangles(x: AnyArray, y: AnyArray) -> AnyArray:
-    """Give both triangles of each moved cell as numbers: (7, 2, cells), upper ones first.
-
-    With o the right-angled corner and e, f the moved edges along x and y, a pixel q lies at
-    along = A (q - o).x + B (q - o).y, beside = C (q - o).x + D (q - o).y. The rows are o.x, o.y, A, B, C, D and the
-    determinant e x f, how much the triangle is stretched. A triangle without area gets zeros and is never hit.
-    """
-    out = np.empty((7, 2, (x.shape[0] - 1) * (x.shape[1] - 1)), np.float32)
-    corners = (
-        (
-            (slice(None, -1), slice(None, -1)),
-            (slice(None, -1), slice(1, None)),
-            (slice(1, None), slice(None, -1)),
-        ),
-        (
-            (slice(1, None), slice(1, None)),
-            (slice(1, None), slice(None, -1)),
-            (slice(None, -1), slice(1, None)),
-        ),
-    )
-    for side, (o, e, f) in enumerate(corners):
-        ex, ey, fx, fy = x[e] - x[o], y[e] - y[o], x[f] - x[o], y[f] - y[o]
-        stretch = ex * fy - ey * fx
-        scale = 1 / np.where(stretch == 0, np.float32(np.inf), stretch)
-        rows = (x[o], y[o], fy * scale, -fx * scale, -ey * scale, ex * scale, stretch)
-        for number, values in enumerate(rows):
-            out[number, side] = values.reshape(-1)
-    return out
-
-
-def _hits(
-    triangles: AnyArray, cell: AnyArray, qx: AnyArray, qy: AnyArray
-) -> tuple[AnyArray, AnyArray, AnyArray, AnyArray]:
-    """Find which candidates a triangle covers: their index, the triangle's number, and their place along its edges.
-
-    A pixel beyond the cut of a proper cell can only be in the lower triangle; in a folded cell both are asked.
-    """
-    upper, lower = triangles[:, 0], triangles[:, 1]
-    along, beside = _place(upper, cell, qx, qy)
-    in_upper = _is_inside(along, beside) & (upper[STRETCH] != 0)[cell]
-    proper = (upper[STRETCH] > 0) & (lower[STRETCH] > 0)
-    rest = np.flatnonzero(~(in_upper & proper[cell]) | (along + beside >= 1 - EDGE_TOLERANCE))
-    along_rest, beside_rest = _place(lower, cell[rest], qx[rest], qy[rest])
-    in_lower = _is_inside(along_rest, beside_rest) & (lower[STRETCH] != 0)[cell[rest]]
-    first = np.flatnonzero(in_upper)
-    second = rest[in_lower]
-    return (
-        np.concatenate([first, second]),
-        np.concatenate([cell[first], cell[second] + triangles.shape[2]]),
-        np.concatenate([along[first], along_rest[in_lower]]),
-        np.concatenate([beside[first], beside_rest[in_lower]]),
-    )
-
-
-def _place(triangles: AnyArray, cell: AnyArray, qx: AnyArray, qy: AnyArray) -> tuple[AnyArray, AnyArray]:
-    from_x = (qx - triangles[0][cell]).astype(np.float32)
-    from_y = (qy - triangles[1][cell]).astype(np.float32)
-    along = triangles[2][cell] * from_x + triangles[3][cell] * from_y
-    beside = triangles[4][cell] * from_x + triangles[5][cell] * from_y
-    return along, beside
-
-
-def _is_inside(along: AnyArray, beside: AnyArray) -> AnyArray:
-    return np.minimum(np.minimum(along, beside), 1 - along - beside) >= -EDGE_TOLERANCE
+    to_x, to_y = np.arange(width, dtype=np.float32), np.arange(height, dtype=np.float32)[:, None]
+    moved = displacement
+    for step in range(FIXED_POINT_STEPS + 1):
+        x, y = to_x - moved[..., 0], to_y - moved[..., 1]
+        if step < FIXED_POINT_STEPS:
+            moved = cv2.remap(displacement, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    return x, y
 
 
 def _filled_from_nearest(field: AnyArray, missing: AnyArray) -> AnyArray:

@@ -27,9 +27,10 @@ from morphspace.faces import Frame, RegistrationKind
 from morphspace.flow import Flow, FlowFunction, methods, starts
 from morphspace.flow.starts import StartKind
 from morphspace.progress import Step, Steps, in_order
+from morphspace.registration import Registration
 from morphspace.storage import digest_of_array, digest_of_json, read_container, write_container
 
-FRAME_FORMAT = "morphspace-work-frame-2"
+FRAME_FORMAT = "morphspace-work-frame-3"
 FLOW_VERSION = 7  # raise it when any flow method gives another field: kept frames are then made again
 KEY_DIGITS = 32  # of the digest in a file's name
 
@@ -120,6 +121,7 @@ def _first_pass(
         for digest, movement in zip(source.digests, movements, strict=True)
     ]
     missing = [index for index, file in enumerate(files) if not is_whole(file)]
+    head = Registration(plan.reference, plan.registration, plan.region)
 
     def make(item: tuple[int, Image]) -> None:
         index, image = item
@@ -128,10 +130,7 @@ def _first_pass(
             frame = Frame(image, "", faces.identity_affine())
             flow = Flow(np.zeros((height, width, 2), np.float32), np.ones((height, width), np.float32))
         else:
-            registration = faces.register(
-                plan.reference, image, plan.registration, plan.region, movements[index]
-            )
-            frame = faces.aligned(image, "", registration)
+            frame = faces.aligned(image, "", head.of(image, movements[index]))
             flow = find(frame.image, None)
         _write(files[index], plan, frame, flow, "coarse to fine")
 

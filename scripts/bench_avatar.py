@@ -23,7 +23,8 @@ from bench_tables import at_least, at_most, print_table, tell
 from morphspace.arrays import AnyArray, Image, Mask
 from morphspace.avatar import Avatar, AvatarSettings, blend_steps
 from morphspace.facefinder import own_finder
-from morphspace.faces import fitted_similarity, mouth_region, rigid_region
+from morphspace.faces import mouth_region, rigid_region
+from morphspace.registration import fitted_similarity
 from morphspace.files.images import write_image
 from morphspace.flow.baselines import LUMA
 from morphspace.measure import psnr_db

@@ -13,7 +13,8 @@ from bench_tables import at_most, print_table, tell
 from morphspace import warp
 from morphspace.arrays import AnyArray, Displacement, Image, Mask, Points
 from morphspace.avatar import Avatar, AvatarSettings, blend_steps
-from morphspace.faces import FaceFrame, face_mask, fitted_similarity
+from morphspace.faces import FaceFrame, face_mask
+from morphspace.registration import fitted_similarity
 from morphspace.files.images import write_image
 from morphspace.files.sidecars import MarkedFaceframe, Sidecar, write_sidecar
 from morphspace.flow.baselines import LUMA
