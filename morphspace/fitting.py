@@ -8,19 +8,21 @@ face's grid, where the components need no resampling, and weighted by the area e
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
 
 import cv2
 import numpy as np
 
 from morphspace import warp
-from morphspace.arrays import AnyArray, Image, LoadingVector, Mask
+from morphspace.arrays import AnyArray, Displacement, Image, LoadingVector, Mask
 from morphspace.basis import Basis
-from morphspace.morph import parts_of
 
 STEPS = 3  # ten gained nothing on the two clips tried
 NOISE_VARIANCE = 1e-5  # colour^2; how strongly the prior holds; 1e-7 to 1e-4 gave the same faces on two clips
 AREA_RANGE = (0.05, 4.0)  # a point's area in the picture, limited so that folds do not count negative
+SPARED = 4  # one pixel of so many is asked how the loadings work together; all are asked where the error lies
 BLOCK_PIXELS = 2048  # a block of the Jacobian stays in the second cache
 SCHARR_SUM = 32.0  # makes the Scharr kernel a derivative per px
 
@@ -37,78 +39,131 @@ class Fit:
 def fit_loadings(
     image: Image, mean: AnyArray, basis: Basis, mask: Mask, start: LoadingVector, *, steps: int = STEPS
 ) -> Fit:
-    """Refine loadings so that the rendered face comes closest to an aligned image inside the mask.
-
-    Parameters: image (h, w, 3); mean (5 h w,) and basis (k, 5 h w) in the order of `morph.vector_of`; mask (h, w);
-    start (k,) loadings, usually the projection. Minimises sum_p A(p) mask(p) |I(p + u(p)) - T(p)|^2 + noise * sum_j
-    l_j^2 / variance_j with A the area of p in the picture. A step that does not lower this sum is halved. Returns the
-    best loadings met, so the sum is never larger than at the start.
-    """
-    best = np.array(start, np.float64)
-    problem = _Problem(image, mean, basis, mask)
-    state = problem.at(best)
-    start_state = state
-    for _ in range(steps if basis.rank else 0):
-        step = problem.step(best, state)
-        for shrink in (1.0, 0.5, 0.25):
-            trial = problem.at(best + shrink * step)
-            if trial.cost < state.cost:
-                best, state = best + shrink * step, trial
-                break
-        else:
-            break
-    return Fit(best, start_state.error, state.error)
+    """Refine loadings once; see `Fitter`, which does so for many images."""
+    return Fitter(mean, basis, mask).fit(image, start, steps=steps)
 
 
 @dataclass(frozen=True, eq=False)
 class _State:
-    """The model at some loadings: its displacement, residual image (h w 3,), root weights (h w,) and cost."""
+    """The model at some loadings: displacement (h, w, 2), residual (m, 3), weight (m,), cost and error."""
 
-    displacement: AnyArray
+    displacement: Displacement
     residual: AnyArray
-    root_weight: AnyArray
+    weight: AnyArray
     cost: float
     error: float
 
 
-class _Problem:
-    def __init__(self, image: Image, mean: AnyArray, basis: Basis, mask: Mask) -> None:
-        self.image, self.mean, self.basis, self.mask = image, mean, basis, mask
-        self.height, self.width = mask.shape
-        self.precision = NOISE_VARIANCE / np.maximum(basis.variances, np.finfo(np.float64).tiny)
-        self.inside = np.flatnonzero(mask > 0)
-        slope_x = cv2.Scharr(image, cv2.CV_32F, 1, 0) / np.float32(SCHARR_SUM)
-        slope_y = cv2.Scharr(image, cv2.CV_32F, 0, 1) / np.float32(SCHARR_SUM)
-        self.slopes = slope_x, slope_y
-        textures, displacements = np.split(basis.components, [3 * mask.size], axis=1)
-        self.textures = textures.reshape(basis.rank, mask.size, 3)[:, self.inside]
-        self.displacements = displacements.reshape(basis.rank, mask.size, 2)[:, self.inside]
+@dataclass(frozen=True, eq=False)
+class Fitter:
+    """Refines loadings so that the rendered face comes closest to an aligned image inside the mask.
 
-    def at(self, loadings: LoadingVector) -> _State:
-        texture, displacement = parts_of(self.mean + self.basis.expand(loadings), self.height, self.width)
-        residual = (warp.sample(self.image, displacement) - texture).reshape(-1, 3)[self.inside]
+    `mean` (5 h w,) and `basis` (k, 5 h w) are in the order of `morph.vector_of`; `mask` (h, w). The components of the
+    m pixels inside it are copied once.
+    """
+
+    mean: AnyArray
+    basis: Basis
+    mask: Mask
+
+    def fit(self, image: Image, start: LoadingVector, *, steps: int = STEPS) -> Fit:
+        """Minimise sum_p A(p) mask(p) |I(p + u(p)) - T(p)|^2 + noise * sum_j l_j^2 / variance_j.
+
+        A is the area of p in the picture; image (h, w, 3); start (k,) loadings, usually the projection. How the
+        loadings work together is taken from a part of the pixels: that decides how many steps are wanted, not where
+        they lead. A step that does not lower the sum is halved. Returns the best loadings met, so
+        the sum is never larger than at the start.
+        """
+        best = np.array(start, np.float64)
+        read = warp.spline_reader([image[..., channel] for channel in range(3)])
+        state = self._at(best, read)
+        start_state = state
+        slopes = [cv2.Scharr(image, cv2.CV_32F, *axes) / np.float32(SCHARR_SUM) for axes in ((1, 0), (0, 1))]
+        for _ in range(steps if self.basis.rank else 0):
+            along = self._along(slopes, state)
+            step = np.linalg.solve(self._normal(along, state), self._downhill(best, along, state))
+            for shrink in (1.0, 0.5, 0.25):
+                trial = self._at(best + shrink * step, read)
+                if trial.cost < state.cost:
+                    best, state = best + shrink * step, trial
+                    break
+            else:
+                break
+        return Fit(best, start_state.error, state.error)
+
+    @cached_property
+    def _inside(self) -> AnyArray:
+        return np.flatnonzero(self.mask > 0)
+
+    @cached_property
+    def _textures(self) -> AnyArray:
+        """The components' textures inside the mask, (k, 3 m), colour by colour."""
+        return self._of_inside(slice(0, 3 * self.mask.size), 3)
+
+    @cached_property
+    def _displacements(self) -> AnyArray:
+        """The components' displacements inside the mask, (k, 2 m), right and then down."""
+        return self._of_inside(slice(3 * self.mask.size, None), 2)
+
+    def _of_inside(self, part: slice, channels: int) -> AnyArray:
+        planes = self.basis.components[:, part].reshape(self.basis.rank, self.mask.size, channels)
+        inside = np.ascontiguousarray(planes[:, self._inside].transpose(0, 2, 1))
+        return inside.reshape(self.basis.rank, channels * len(self._inside))
+
+    @cached_property
+    def _precision(self) -> AnyArray:
+        return NOISE_VARIANCE / np.maximum(self.basis.variances, np.finfo(np.float64).tiny)
+
+    def _planes(self, picture: AnyArray) -> AnyArray:
+        """Give the pixels inside the mask of a picture (h, w, c), (c, m)."""
+        return np.ascontiguousarray(picture.reshape(self.mask.size, -1)[self._inside].T)
+
+    def _at(self, loadings: LoadingVector, read: Callable[[AnyArray, AnyArray], AnyArray]) -> _State:
+        colours = 3 * self.mask.size
+        moved = self.mean[colours:] + self.basis.expand(loadings, slice(colours, None))
+        displacement = moved.reshape(*self.mask.shape, 2)
+        residual = read(*warp.positions(displacement)).reshape(3, -1)[:, self._inside]
+        residual -= self._mean_texture
+        residual -= (np.asarray(loadings, np.float32) @ self._textures).reshape(3, -1)
         area = cv2.copyMakeBorder(warp.determinants(displacement), 0, 1, 0, 1, cv2.BORDER_REPLICATE)
-        weight = (self.mask * np.clip(area, *AREA_RANGE)).reshape(-1)[self.inside]
-        square = float((weight[:, None] * residual * residual).sum(dtype=np.float64))
-        cost = square + float((self.precision * loadings * loadings).sum())
+        weight = (self.mask * np.clip(area, *AREA_RANGE)).reshape(-1)[self._inside]
+        square = float((weight * residual * residual).sum(dtype=np.float64))
+        cost = square + float((self._precision * loadings * loadings).sum())
         total = max(float(weight.sum(dtype=np.float64)), 1.0)
-        return _State(displacement, residual, np.sqrt(weight), cost, float(np.sqrt(square / total / 3)))
+        return _State(displacement, residual, weight, cost, float(np.sqrt(square / total / 3)))
 
-    def step(self, loadings: LoadingVector, state: _State) -> LoadingVector:
-        """Solve the linearised problem: d residual / d l_j = grad I . u_j - T_j; summed over blocks of pixels."""
-        along_x, along_y = (
-            warp.sample(slope, state.displacement).reshape(-1, 3)[self.inside] for slope in self.slopes
-        )
-        normal = np.diag(self.precision)
-        target = -self.precision * loadings
-        for start in range(0, len(self.inside), BLOCK_PIXELS):
+    @cached_property
+    def _mean_texture(self) -> AnyArray:
+        return self._planes(self.mean[: 3 * self.mask.size].reshape(*self.mask.shape, 3))
+
+    def _along(self, slopes: list[AnyArray], state: _State) -> tuple[AnyArray, AnyArray]:
+        """Give the picture's slopes to the right and down where the face lies, (3, m) each."""
+        right, down = (self._planes(warp.sample_field(slope, state.displacement)) for slope in slopes)
+        return right, down
+
+    def _downhill(
+        self, loadings: LoadingVector, along: tuple[AnyArray, AnyArray], state: _State
+    ) -> LoadingVector:
+        """Give half the slope of the sum, turned round, (k,): d residual / d l_j = grad I . u_j - T_j."""
+        weighed = state.weight * state.residual
+        by_moving = np.concatenate([(weighed * slope).sum(axis=0) for slope in along])
+        told = self._textures @ weighed.reshape(-1) - self._displacements @ by_moving
+        return np.asarray(told, np.float64) - self._precision * loadings
+
+    def _normal(self, along: tuple[AnyArray, AnyArray], state: _State) -> AnyArray:
+        """Give half the curvature of the sum, (k, k), from one pixel of `SPARED`."""
+        rank, count = self.basis.rank, len(self._inside)
+        textures = self._textures.reshape(rank, 3, count)[:, :, ::SPARED]
+        displacements = self._displacements.reshape(rank, 2, count)[:, :, ::SPARED]
+        right, down = (slope[:, ::SPARED] for slope in along)
+        root = np.sqrt(SPARED * state.weight[::SPARED])
+        normal = np.diag(self._precision)
+        for start in range(0, textures.shape[2], BLOCK_PIXELS):
             block = slice(start, start + BLOCK_PIXELS)
-            jacobian = self.displacements[:, block, :1] * along_x[block]
-            jacobian += self.displacements[:, block, 1:] * along_y[block]
-            np.subtract(self.textures[:, block], jacobian, out=jacobian)
-            root = state.root_weight[block, None]
-            jacobian *= root
-            flat = jacobian.reshape(len(loadings), -1)
-            normal += flat @ flat.T
-            target += flat @ (state.residual[block] * root).reshape(-1)
-        return np.asarray(np.linalg.solve(normal, target), np.float64)
+            for channel in range(3):
+                jacobian = displacements[:, 0, block] * right[channel, block]
+                jacobian += displacements[:, 1, block] * down[channel, block]
+                np.subtract(textures[:, channel, block], jacobian, out=jacobian)
+                jacobian *= root[block]
+                normal += jacobian @ jacobian.T
+        return normal

@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from morphspace import fitting, warp
+from morphspace import warp
 from morphspace.anchoring import FaceAnchor, anchor_of_build, was_anchored
 from morphspace.arrays import Affine, AnyArray, Displacement, Image, LoadingTable, LoadingVector, Mask
 from morphspace.basis import Basis
@@ -27,6 +27,7 @@ from morphspace.faces import (
     aligned,
     rigid_region,
 )
+from morphspace.fitting import Fitter
 from morphspace.flow import FlowFunction, methods
 from morphspace.landmarks import LandmarkRegression
 from morphspace.modelfile import FORMAT, FORMAT_VERSION, content_digest, read_model_file
@@ -162,10 +163,13 @@ class MorphModel:
         return self.fit(frame, self.morph_of(frame.image))
 
     def fit(self, frame: Frame, morph: Morph) -> Loadings:
-        """Give the loadings of an aligned frame and its morph: the projection, refined by `fitting.fit_loadings`."""
-        start = self.project(morph)
-        fit = fitting.fit_loadings(frame.image, self.mean_vector, self.basis, self.mask, start)
+        """Give the loadings of an aligned frame and its morph: the projection, refined by `fitting.Fitter`."""
+        fit = self._fitter.fit(frame.image, self.project(morph))
         return Loadings(fit.loadings[None], (frame.name,), self.model_id)
+
+    @cached_property
+    def _fitter(self) -> Fitter:
+        return Fitter(self.mean_vector, self.basis, self.mask)
 
     def expand(self, loadings: AnyArray) -> Morph:
         """Give the morph of loadings (k,), or of the first so many: mean + P l (Nagle section 2, steps 1 and 2)."""
