@@ -43,7 +43,7 @@ class InnerProducts:
 
     def with_offset(self, offset: AnyArray) -> LoadingVector:
         """Give the inner products (k,) with a mean-relative vector (5 h w,)."""
-        return np.asarray(self.weighed @ offset[self.places], np.float64)
+        return np.asarray(self.weighed @ np.take(offset, self.places), np.float64)
 
 
 @dataclass(frozen=True, eq=False)

@@ -252,9 +252,12 @@ def fold_fraction(displacement: Displacement, mask: Mask) -> float:
 
 def affine_displacement(affine: Affine, height: int, width: int) -> Displacement:
     """Give the field u with p + u(p) = A p + t on a (height, width) grid, (h, w, 2) px."""
-    x, y = np.meshgrid(np.arange(width, dtype=np.float64), np.arange(height, dtype=np.float64))
-    moved = np.stack([affine[i, 0] * x + affine[i, 1] * y + affine[i, 2] for i in (0, 1)], axis=-1)
-    return (moved - np.stack([x, y], axis=-1)).astype(np.float32)
+    x, y = np.arange(width, dtype=np.float64), np.arange(height, dtype=np.float64)[:, None]
+    linear = affine[:, :2] - np.eye(2)
+    out = np.empty((height, width, 2), np.float32)
+    for axis in (0, 1):
+        out[..., axis] = (linear[axis, 0] * x + affine[axis, 2]) + linear[axis, 1] * y
+    return out
 
 
 def inverse_affine(affine: Affine) -> Affine:
