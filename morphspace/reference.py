@@ -97,7 +97,18 @@ def _half_open(contrasts: AnyArray) -> float:
 
 
 def _missing(reference: Image, frame: Image, mask: Mask) -> float:
-    return photometric_error(reference, frame, smoothed(dis_medium(reference, frame)), mask)
+    """Give what the reference does not show of a frame, the mean of both as they are and mirrored.
+
+    The flow is not the mirror of its mirror; a mirrored clip must choose the mirrored reference.
+    """
+    both = (
+        (reference, frame, mask),
+        tuple(np.ascontiguousarray(one[:, ::-1]) for one in (reference, frame, mask)),
+    )
+    missed = sorted(
+        photometric_error(one, other, smoothed(dis_medium(one, other)), seen) for one, other, seen in both
+    )
+    return sum(missed) / 2
 
 
 def mouth_contrast(image: Image, region: Mask) -> float:

@@ -121,10 +121,15 @@ def test_small_frames_are_not_enlarged(picture):
 def test_the_error_of_a_pair_is_what_the_warped_frame_misses(clip):
     mask = np.random.default_rng(0).uniform(0, 1, clip.pictures[0].shape[:2]).astype(np.float32)
     reference, frame = clip.pictures[0], clip.pictures[3]
-    missing = []
-    for one, other in ((reference, frame), (frame, reference)):
+
+    def missed(*pictures):
+        one, other, weights = map(np.ascontiguousarray, pictures)
         difference = warp.sample(other, smoothed(dis_medium(one, other))) - one
-        missing.append(np.sqrt(np.average(np.square(difference).mean(axis=2), weights=mask)))
+        return np.sqrt(np.average(np.square(difference).mean(axis=2), weights=weights))
+
+    missing = []
+    for pair in ((reference, frame, mask), (frame, reference, mask)):
+        missing.append((missed(*pair) + missed(*(one[:, ::-1] for one in pair))) / 2)
     assert_allclose(errors_in([reference, frame], mask), missing, rtol=1e-4)
 
 
@@ -272,6 +277,12 @@ def test_the_chosen_frame_is_about_as_good_as_the_best(clip):
         contrasts = np.random.default_rng(seed).uniform(0, 1, len(clip.pictures))
         place, errors = found_in(list(clip.pictures), contrasts)
         assert errors[place] <= ABOUT_EQUAL * min(errors.values())
+
+
+def test_mirrored_frames_give_the_same_choice_and_the_same_errors(clip):
+    mirrored = [np.ascontiguousarray(image[:, ::-1]) for image in clip.pictures]
+    contrasts = np.arange(len(clip.pictures), dtype=np.float64)
+    assert found_in(mirrored, contrasts) == found_in(list(clip.pictures), contrasts)
 
 
 def test_the_same_frames_give_the_same_choice_and_the_same_bits(clip):
