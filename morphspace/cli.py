@@ -20,12 +20,15 @@ import click
 
 from morphspace import __version__
 from morphspace.cli_avatar import add_avatar
+from morphspace.cli_batch import add_batch
 from morphspace.cli_build import build_model_options
 from morphspace.cli_flow import flow_options
 from morphspace.cli_keypoints import add_keypoints
-from morphspace.cli_measure import measure_mimicry_options
+from morphspace.cli_measure import add_measure
 from morphspace.cli_mimic import add_mimic
 from morphspace.cli_models import add_models
+from morphspace.cli_motion import add_motion
+from morphspace.cli_stimuli import add_stimuli
 from morphspace.cli_words import CROP, SIZE
 from morphspace.errors import BadInput, MorphspaceError
 
@@ -209,28 +212,6 @@ def encode(model: Path, clip: tuple[str, ...], **options: Any) -> Steps[Outcome]
     return verb_module.run(verb_module.EncodeRequest(model=model, sources=clip, **options))
 
 
-@main.command("render")
-@MODEL
-@click.argument("table", type=click.Path(path_type=Path))
-@click.option(
-    "-o",
-    "--output",
-    type=click.Path(path_type=Path),
-    required=True,
-    help="A folder of images, or a video: .mkv lossless, .mp4 for people.",
-)
-@click.option("--gain", default=1.0, show_default=True, help="Multiply all loadings: above 1 caricatures.")
-@click.option(
-    "--frame-rate", "frame_rate_hz", type=click.FloatRange(1, 1000), help="Frames a second of a video."
-)
-@verb
-def render(model: Path, table: Path, **options: Any) -> Steps[Outcome]:
-    """Draw the faces of a TABLE of loadings with MODEL."""
-    from morphspace.verbs import render as verb_module
-
-    return verb_module.run(verb_module.RenderRequest(model=model, table=table, **options))
-
-
 @main.command("reconstruct")
 @MODEL
 @SOURCES
@@ -247,62 +228,6 @@ def reconstruct(model: Path, clip: tuple[str, ...], **options: Any) -> Steps[Out
     return verb_module.run(verb_module.ReconstructRequest(model=model, sources=clip, **options))
 
 
-@main.command("sample")
-@MODEL
-@click.option(
-    "-o", "--output", type=click.Path(path_type=Path), required=True, help="The folder to write into."
-)
-@click.option(
-    "-n", "--count", type=click.IntRange(1, 100_000), default=16, show_default=True, help="How many faces."
-)
-@click.option(
-    "--seed", type=click.IntRange(0), default=0, show_default=True, help="The same seed gives the same faces."
-)
-@click.option(
-    "--spread",
-    type=click.FloatRange(0, 100),
-    default=1.0,
-    show_default=True,
-    help="Scale of the distribution; 1 is the model's own.",
-)
-@verb
-def sample(model: Path, **options: Any) -> Steps[Outcome]:
-    """Draw faces at random from MODEL."""
-    from morphspace.verbs import sample as verb_module
-
-    return verb_module.run(verb_module.SampleRequest(model=model, **options))
-
-
-@main.command("sweep")
-@MODEL
-@click.option(
-    "-o", "--output", type=click.Path(path_type=Path), required=True, help="The folder to write into."
-)
-@click.option(
-    "-k",
-    "--components",
-    type=click.IntRange(1, 10_000),
-    default=10,
-    show_default=True,
-    help="How many components.",
-)
-@click.option(
-    "-n",
-    "--amount-sd",
-    type=click.FloatRange(0, 100, min_open=True),
-    default=3.0,
-    show_default=True,
-    help="From minus to plus so many SD.",
-)
-@click.option("--steps", type=click.IntRange(2, 1000), default=7, show_default=True, help="Faces in a strip.")
-@verb
-def sweep(model: Path, **options: Any) -> Steps[Outcome]:
-    """Show what each component of MODEL does, as strips and videos."""
-    from morphspace.verbs import sweep as verb_module
-
-    return verb_module.run(verb_module.SweepRequest(model=model, **options))
-
-
 @main.command("flow")
 @flow_options
 @verb
@@ -313,18 +238,17 @@ def flow(**options: Any) -> Steps[Outcome]:
     return verb_module.run_words(**options)
 
 
-for add in (add_avatar, add_keypoints, add_mimic, add_models):
+for add in (
+    add_avatar,
+    add_batch,
+    add_keypoints,
+    add_measure,
+    add_mimic,
+    add_models,
+    add_motion,
+    add_stimuli,
+):
     add(main, verb)
-
-
-@main.command("measure-mimicry")
-@measure_mimicry_options
-@verb
-def measure_mimicry(**options: Any) -> Steps[Outcome]:
-    """Measure how well IMITATION follows STIMULUS, in the expression space of the stimulus' model."""
-    from morphspace.verbs import measure_mimicry as verb_module
-
-    return verb_module.run(verb_module.MeasureMimicryRequest(**options))
 
 
 @main.command("make-actors")

@@ -74,7 +74,8 @@ OPTIONS = (
         type=CountOrAll(),
         default=40,
         show_default=True,
-        help="How many of each identity, spread out over what it can show.",
+        help="How many expressions of each identity (three identities: three times so many), spread out over what it can "
+        "show; all: every training frame.",
     ),
     click.option(
         "--method",
@@ -95,12 +96,12 @@ OPTIONS = (
         type=WeightOrAuto(),
         default="auto",
         show_default=True,
-        help="Amount of the unsharp mask; auto: as sharp as the sources are.",
+        help="Amount of the unsharp mask, 0 to 3; auto: as sharp as the sources are.",
     ),
     click.option(
         "--surround",
         metavar="NAME|flat",
-        help="Whose hair, neck and background stay, or flat grey [default: the reference identity's].",
+        help="Whose hair, ears, neck and background stay, or flat grey [default: the reference identity's].",
     ),
     flow_option("The flow estimator, between the people and of the final model."),
     COMPONENTS,

@@ -3,10 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import wraps
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
+
+from morphspace.cli_mimic import FACES_MISSING
+
+if TYPE_CHECKING:
+    from morphspace.progress import Steps
+    from morphspace.verbs.outcome import Outcome
 
 OPTIONS = (
     click.argument("stimulus"),
@@ -41,14 +48,15 @@ OPTIONS = (
         type=click.IntRange(0, 1_000_000),
         default=1000,
         show_default=True,
-        help="At most so many circular shifts of the imitation stand for chance.",
+        help="At most so many circular shifts of the imitation stand for chance; at the best lag and aligned, so "
+        "many of its copies.",
     ),
     click.option(
         "--seed",
         type=click.IntRange(0),
         default=0,
         show_default=True,
-        help="Which shifts are drawn, where not all are used.",
+        help="Which shifts and copies are drawn.",
     ),
     click.option(
         "--mask",
@@ -71,3 +79,27 @@ def measure_mimicry_options(command: Callable[..., Any]) -> Callable[..., Any]:
     for option in reversed(OPTIONS):
         command = option(command)
     return command
+
+
+def add_measure(group: click.Group, verb: Callable[[Callable[..., Any]], Callable[..., None]]) -> None:
+    """Add `measure-mimicry` to the group; `verb` gives the options all verbs share and runs its steps."""
+
+    def measure_mimicry(**options: Any) -> Steps[Outcome]:
+        """Measure how well IMITATION follows STIMULUS, in the expression space of the stimulus' model.
+
+        Exits 3 where all was done but some frames show no face; measures.json names them.
+        """
+        from morphspace.verbs import measure_mimicry as verb_module
+
+        outcome = yield from verb_module.run(verb_module.MeasureMimicryRequest(**options))
+        click.get_current_context().meta[__name__] = FACES_MISSING if outcome.document["no_face"] else 0
+        return outcome
+
+    done = verb(measure_mimicry)
+
+    @wraps(done)
+    def command(**options: Any) -> int:
+        done(**options)
+        return int(click.get_current_context().meta.get(__name__, 0))  # the group exits with it
+
+    group.command("measure-mimicry")(measure_mimicry_options(command))

@@ -26,6 +26,15 @@ def gain_of(_context: click.Context, _option: click.Parameter, word: str | None)
         raise click.BadParameter(f"{word!r} is neither a number nor auto") from error
 
 
+class Folder(click.Path):
+    """A folder by its name; an empty one, which would stand for the current folder, is refused."""
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        if value == "":
+            self.fail("it is empty: name a folder, . for this one")
+        return super().convert(value, param, ctx)
+
+
 OPTIONS = (
     click.option(
         "--src",
@@ -44,7 +53,7 @@ OPTIONS = (
     click.option(
         "-o",
         "--output",
-        type=click.Path(path_type=Path),
+        type=Folder(path_type=Path),
         required=True,
         help="The folder to write into.",
     ),

@@ -54,6 +54,29 @@ class WeightOrAuto(click.ParamType):  # type: ignore[type-arg]
             self.fail(f"{value!r} is neither auto nor a number")
 
 
+class Gains(click.ParamType):  # type: ignore[type-arg]
+    """Numbers separated by commas, such as 0.5,1,1.5,-1."""
+
+    name = "G,G,..."
+
+    def convert(
+        self, value: Any, param: click.Parameter | None, ctx: click.Context | None
+    ) -> tuple[float, ...]:
+        if isinstance(value, tuple):
+            return value
+        try:
+            return tuple(float(word) for word in value.split(","))
+        except ValueError:
+            self.fail(f"{value!r} is not a list of numbers: write them with commas, such as 0.5,1,1.5,-1")
+
+
+MODEL = click.argument("model", type=click.Path(path_type=Path))
+OUTPUT_FOLDER = click.option(
+    "-o", "--output", type=click.Path(path_type=Path), required=True, help="The folder to write into."
+)
+FRAME_RATE = click.option(
+    "--frame-rate", "frame_rate_hz", type=click.FloatRange(1, 1000), help="Frames a second of a video."
+)
 COMPONENTS = click.option(
     "-k",
     "--components",

@@ -19,7 +19,8 @@ from morphspace import warp
 from morphspace.arrays import AnyArray, Displacement, Image, LoadingVector, Mask
 from morphspace.basis import Basis
 
-STEPS = 3  # ten gained nothing on the two clips tried
+STEPS = 12  # at most; most faces stand still after three or four
+STILL = 1e-3  # a step that lowers the sum by less than this share is the last
 NOISE_VARIANCE = 1e-5  # colour^2; how strongly the prior holds; 1e-7 to 1e-4 gave the same faces on two clips
 AREA_RANGE = (0.05, 4.0)  # a point's area in the picture, limited so that folds do not count negative
 SPARED = 4  # one pixel of so many is asked how the loadings work together; all are asked where the error lies
@@ -85,9 +86,12 @@ class Fitter:
             for shrink in (1.0, 0.5, 0.25):
                 trial = self._at(best + shrink * step, read)
                 if trial.cost < state.cost:
-                    best, state = best + shrink * step, trial
                     break
             else:
+                break
+            is_last = trial.cost > (1 - STILL) * state.cost
+            best, state = best + shrink * step, trial
+            if is_last:
                 break
         return Fit(best, start_state.error, state.error)
 

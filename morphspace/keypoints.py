@@ -33,6 +33,8 @@ LEAST_EYES_PX = 4.0  # from eye to eye; below it an error of half a pixel turns 
 LEAST_DEPTH = 0.15  # of the eye distance, from the line through the eyes to the lip; faces have 0.7 to 1.2
 FACES = 200  # of a model that are looked at, evenly spread over its training frames, besides the mean
 LEAST_FOUND = 3  # faces; a median of fewer is one detection
+MARK_AGAIN = "mark them again"
+TURN_UPRIGHT = "mark the eyes above the lip, or turn the face upright"
 WIDE_SPREAD = 0.05  # of the eye distance; beyond it the detections contradict each other
 
 
@@ -82,13 +84,18 @@ class DetectedFaceframe:
 
 
 def checked_faceframe(
-    points: Points, size: tuple[int, int], origin: str
+    points: Points,
+    size: tuple[int, int],
+    origin: str,
+    *,
+    if_outside: str = MARK_AGAIN,
+    if_upside_down: str = TURN_UPRIGHT,
 ) -> tuple[FaceFrame, tuple[str, ...]]:
     """Give the faceframe of three points (3, 2) px on a face of `size` (w, h) px, and notes on what was mended.
 
     Eyes in the wrong order are exchanged, which is noted: right is the subject's right, the smaller x. Raises
     `BadInput` for points outside the face, not finite, repeated, on one line, upside down or too close; `origin` names
-    them.
+    them, `if_outside` and `if_upside_down` say what to do about it.
     """
     points = np.asarray(points, np.float64)
     if points.shape != (3, 2) or not np.isfinite(points).all():
@@ -102,15 +109,15 @@ def checked_faceframe(
     for name, (x, y) in zip(POINT_NAMES, points.tolist(), strict=True):
         if not (-0.5 <= x <= size[0] - 0.5 and -0.5 <= y <= size[1] - 0.5):
             raise BadInput(
-                f"{origin}: the {name} at {x:.1f},{y:.1f} lies outside the mean face of {size[0]}x{size[1]} px: give "
-                "points in its pixels, or --on reference for points marked on the reference frame's own picture"
+                f"{origin}: the {name} at {x:.1f},{y:.1f} lies outside the mean face of {size[0]}x{size[1]} px: "
+                f"{if_outside}"
             )
-    _check_triangle(points, origin)
+    _check_triangle(points, origin, if_upside_down)
     found = FaceFrame((0.0, 0.0), (0.0, 0.0), (0.0, 0.0)).moved(points)
     return found, notes
 
 
-def _check_triangle(points: Points, origin: str) -> None:
+def _check_triangle(points: Points, origin: str, if_upside_down: str = TURN_UPRIGHT) -> None:
     """Raise `BadInput` where the points, eyes in order, do not span a face that stands upright."""
     right, left, lip = points
     eyes = left - right
@@ -128,8 +135,7 @@ def _check_triangle(points: Points, origin: str) -> None:
         )
     if depth < 0:
         raise BadInput(
-            f"{origin}: the lip lies {-depth:.1f} px above the eyes, but y counts down here: give --negate-y, or turn "
-            "the face upright"
+            f"{origin}: the lip lies {-depth:.1f} px above the eyes, but y counts down here: {if_upside_down}"
         )
 
 
@@ -176,10 +182,28 @@ def required_landmarks(model: MorphModel) -> LandmarkRegression:
     """Give the landmark regression of a model. Raises `BadInput` with the command that learns it where it has none."""
     if model.landmarks is None:
         raise BadInput(
-            f"the model of {model.identity} does not know where its landmarks lie: run `morphspace keypoints MODEL "
-            "--auto` on it, or choose a method that needs none"
+            f"the model of {model.identity} does not know where its landmarks lie: {how_to_learn(model, 'MODEL')}, or "
+            "choose a method that needs none"
         )
     return model.landmarks
+
+
+def how_to_learn(model: MorphModel, name: str) -> str:
+    """Say how a model comes to know its landmarks: by the command, with `name` for its file, where that can help."""
+    count = len(model.training.values)
+    if count < LEAST_FACES:
+        return (
+            f"it holds {count} faces, too few to learn them from: build it from {LEAST_FACES} frames or more, of "
+            "different expressions"
+        )
+    origin = model.provenance.get("keypoints")
+    found = origin.get("found") if isinstance(origin, dict) and origin.get("source") == "auto" else None
+    if isinstance(found, int) and found <= LEAST_FACES:
+        return (
+            f"a face was found in {found} of its {count} faces, too few to learn them from: build it from more or "
+            "larger frames that show the whole face"
+        )
+    return f"run `morphspace keypoints {name} --auto`"
 
 
 def lip_of(model: MorphModel) -> Lip:

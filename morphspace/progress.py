@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Callable, Generator, Iterable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
-from contextlib import ExitStack, contextmanager
+from contextlib import AbstractContextManager, ExitStack, contextmanager
 from dataclasses import dataclass
 from threading import Lock
 from typing import TypeVar
@@ -77,6 +77,11 @@ class _SingleThreads:
 
 
 _SINGLE_THREADS = _SingleThreads()
+
+
+def single_threads() -> AbstractContextManager[None]:
+    """Keep BLAS and OpenCV at one thread each for a block, as `in_order` does: the same bits on every machine."""
+    return _SINGLE_THREADS.asked()
 
 
 def in_order(

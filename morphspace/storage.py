@@ -27,6 +27,7 @@ ALIGNMENT = 64  # bytes; the data start on a cache line, so that maps of float32
 MAX_HEADER_BYTES = 100_000_000  # the safetensors limit; a larger number means random bytes
 KEPT_NAME = 40  # characters a temporary file keeps of a name, so that it stays within the system's limit
 READ_BLOCK = 1 << 20  # bytes read at a time while digesting
+CHECK = "check the name and the permissions"
 DTYPES = {
     "F64": np.float64,
     "F32": np.float32,
@@ -171,7 +172,10 @@ def read_container(path: Path) -> tuple[dict[str, AnyArray], dict[str, Any]]:
         document = dict(json.loads(header.pop("__metadata__")["morphspace"]))
         entries = {name: _entry_of(entry) for name, entry in header.items()}
     except OSError as error:
-        raise UnreadableFile(f"cannot read {path}: {error.strerror or error}") from error
+        what = (
+            "it is a folder; name the file itself" if path.is_dir() else f"{error.strerror or error}; {CHECK}"
+        )
+        raise UnreadableFile(f"cannot read {path}: {what}") from error
     except (ValueError, KeyError, TypeError, AttributeError, OverflowError, RecursionError) as error:
         raise UnreadableFile(f"{path} is not a morphspace file: its header is not readable") from error
     start = 8 + length

@@ -196,6 +196,7 @@ def invert(displacement: Displacement) -> Displacement:
     covered. Raises `BadInput` where the field is not finite.
     """
     _check_positions(displacement[..., 0], displacement[..., 1])
+    displacement = displacement.astype(np.float32, copy=False)
     grid = MovedGrid(displacement)
     back, is_known = grid.walked(_fixed_point(displacement))
     doubtful = ~is_known | grid.where_folds

@@ -23,6 +23,7 @@ from pathlib import Path
 
 import bench_avatar
 import bench_avatar_drawn
+import bench_batch
 import bench_build
 import bench_detection
 import bench_flow
@@ -33,8 +34,10 @@ import bench_landmarks
 import bench_mimicry
 import bench_mimicry_drawn
 import bench_mimicry_speed
+import bench_motion
 import bench_quality
 import bench_speed
+import bench_stimuli
 import bench_video
 from bench_clips import CLIPS
 from bench_tables import print_table
@@ -66,6 +69,9 @@ DATA_SECTIONS = (
     "detection",
     "mimicry",
     "mimicry-speed",
+    "motion",
+    "batch",
+    "stimuli",
     "avatar",
     "avatar-laws",
     "avatar-cost",
@@ -133,6 +139,12 @@ def run(section: str, arguments: argparse.Namespace, work: Path) -> None:
         bench_mimicry_speed.mimicry_speed(data, work, rounds)
     elif section == "mimicry-drawn":
         bench_mimicry_drawn.mimicry_drawn(work)
+    elif section == "stimuli":
+        bench_stimuli.stimuli(data, work, rounds)
+    elif section == "batch":
+        bench_batch.batch_figures(data, work, rounds)
+    elif section == "motion":
+        bench_motion.motion(data, work)
     elif section == "avatar":
         bench_avatar.avatar(data, work, arguments.face_judge)
     elif section == "avatar-laws":

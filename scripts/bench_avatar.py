@@ -24,13 +24,13 @@ from morphspace.arrays import AnyArray, Image, Mask
 from morphspace.avatar import Avatar, AvatarSettings, blend_steps
 from morphspace.facefinder import own_finder
 from morphspace.faces import mouth_region, rigid_region
-from morphspace.registration import fitted_similarity
 from morphspace.files.images import write_image
 from morphspace.flow.baselines import LUMA
 from morphspace.measure import psnr_db
 from morphspace.model import MorphModel
 from morphspace.progress import result_of
 from morphspace.reference import spread
+from morphspace.registration import fitted_similarity
 from morphspace.warp import apply_affine
 
 GROUPS = (("lp_d18", "lp_d13", "lp_d0", "lp_d9"), ("lp_d18", "lp_d13", "lp_d6", "lp_d9"))

@@ -14,7 +14,6 @@ from morphspace import warp
 from morphspace.arrays import AnyArray, Displacement, Image, Mask, Points
 from morphspace.avatar import Avatar, AvatarSettings, blend_steps
 from morphspace.faces import FaceFrame, face_mask
-from morphspace.registration import fitted_similarity
 from morphspace.files.images import write_image
 from morphspace.files.sidecars import MarkedFaceframe, Sidecar, write_sidecar
 from morphspace.flow.baselines import LUMA
@@ -22,6 +21,7 @@ from morphspace.flow.methods import named
 from morphspace.model import MorphModel
 from morphspace.progress import result_of
 from morphspace.reference import spread
+from morphspace.registration import fitted_similarity
 from morphspace.synthetic.actor import Actor, ActorFrame
 from morphspace.synthetic.drawn import drawn_actor
 from morphspace.synthetic.parameters import ACTIONS, SIGNED_ACTIONS, Expression, Identity

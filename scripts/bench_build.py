@@ -16,8 +16,9 @@ from bench_clips import SIZE, clip_frames, replaced, replaced_flow
 from bench_memory import child
 from bench_tables import at_most, print_table, tell
 
-from morphspace import build, faces, progress, reference, storage, workframes
+from morphspace import build, progress, reference, storage, workframes
 from morphspace.flow import FlowMethod, methods
+from morphspace.registration import Registration
 from morphspace.report import figures
 from morphspace.verbs import build_model
 from morphspace.verbs.build_model import BuildModelRequest
@@ -134,7 +135,7 @@ def _timed_build(data: Path, workers: int) -> Timed:
     with (
         tempfile.TemporaryDirectory() as folder,
         replaced_flow(methods.DEFAULT, watched_method(flow, methods.METHODS[methods.DEFAULT])),
-        replaced(faces, "register", registration.watched(faces.register)),
+        replaced(Registration, "of", registration.watched(Registration.of)),
         replaced(workframes, "write_container", writing.watched(storage.write_container)),
         replaced(build, "in_order", threads),
         replaced(workframes, "in_order", threads),

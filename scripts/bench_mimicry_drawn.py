@@ -51,9 +51,8 @@ def mimicry_drawn(work: Path) -> None:
         _row("encoded", models[1], answers, [models[1].render(row) for row in encoded], read(encoded), asked)
     )
     for method in METHODS:
-        if (
-            method == "guided"
-        ):  # the detector does not know drawn faces, so there are no landmarks to learn from
+        if method == "guided" and any(model.landmarks is None for model in models):
+            tell("mimicry-drawn: no landmarks without the detector's files, so no guided mimicry")
             continue
         tell(f"mimicry-drawn: {method}")
         to_target = mimic(models[0], models[1], method)

@@ -22,6 +22,7 @@ from morphspace.files.fields import read_flow
 from morphspace.files.images import read_image
 from morphspace.files.scenes import find_scenes
 from morphspace.measure import known_flow
+from morphspace.registration import register
 from morphspace.synthetic import Expression, Identity, drawn_actor
 from morphspace.synthetic.warped import FaceMarks, FlowPair, WarpKind, astronaut_face, flow_pair
 
@@ -171,6 +172,6 @@ def real_pairs(data: Path, part: Part) -> tuple[RealPair, ...]:
         reference, *others = clip_frames(data, clip, REAL_SIZE).images([neutral, *strong])
         for index, image in zip(strong, others, strict=True):
             name = f"{clip} {neutral}-{index}"
-            movement = faces.register(reference, image, "similarity", region)
+            movement = register(reference, image, "similarity", region)
             pairs.append(RealPair(name, reference, faces.aligned(image, name, movement).image, mask))
     return tuple(pairs)

@@ -15,6 +15,7 @@ from morphspace.avatar import AvatarSettings, blend_steps
 from morphspace.avatar.blend import NEAR
 from morphspace.avatar.common_face import CommonFace, common_face, placed, places_on
 from morphspace.avatar.mixing import Mixer
+from morphspace.avatar.notes import notes_on
 from morphspace.avatar.selection import labels_of, model_key, spread_out
 from morphspace.avatar.settings import check_settings
 from morphspace.avatar.sharpness import curve, mean_curve, sharpened, sharpness
@@ -240,6 +241,26 @@ def test_only_what_is_dark_above_the_brows_is_hair(anna):
     assert (skin_share(anna, texture, home.mask) == 1).all()  # without mesh points nothing is known
 
 
+def looking(model, to_right):
+    """The model with eyes 10 px wide whose irises stand so many px to the image's right of their middle."""
+    points = np.tile([32.0, 40.0], (POINT_COUNT, 1))
+    for x, iris, left, right in ((20.0, 468, 33, 133), (44.0, 473, 362, 263)):
+        points[left], points[right], points[iris] = (x - 5, 30), (x + 5, 30), (x + to_right, 31)
+    origin = {"lip": "philtrum", "points": points.tolist()}
+    return model.with_faceframe(FACEFRAME, origin)
+
+
+def test_people_who_look_in_different_directions_are_told(anna, ben):
+    said = []
+    for to_right in (0.4, 2.0):  # px of 10
+        studio = studio_of([looking(anna, 0), looking(ben, to_right)], AvatarSettings())
+        said.append(" ".join(notes_on(studio, (), 1.0)))
+    assert "different directions" not in said[0]
+    assert (
+        "anna and ben look in different directions: their irises are 0.20 of an eye's width apart" in said[1]
+    )
+
+
 def with_lips(model, per_loading_px):
     """The model with landmarks whose inner lips stand open by 2 px and by so much more per first loading."""
     mean = np.zeros((len(LANDMARKS), 2))
@@ -292,6 +313,14 @@ def test_the_finished_model_is_as_sharp_as_its_sources(anna, ben, tmp_path):
     assert avatar.sharpness["blend"] >= NEAR[0] * wanted
 
 
+def test_a_blend_that_is_not_as_sharp_as_its_sources_is_told(anna, ben, tmp_path):
+    avatar = blended([anna, ben], tmp_path, sharpen=3.0)
+    share = avatar.sharpness["blend"] / avatar.sharpness["sources"].mean()
+    assert share > 1.2
+    assert f"{share:.0%} as sharp as its sources" in " ".join(avatar.notes)
+    assert not [note for note in blended([anna, ben], tmp_path).notes if "as sharp" in note]
+
+
 def test_an_amount_that_was_asked_for_stays(anna, ben, tmp_path):
     avatar = blended([anna, ben], tmp_path, sharpen=0.0)
     assert avatar.sharpen == 0
@@ -325,12 +354,14 @@ def test_other_settings_blend_anew(anna, ben, tmp_path):
         ({"weights": (0, 0)}, "sum to 0"),
         ({"weights": (1, -1)}, "at least 0"),
         ({"weights": (1, float("nan"))}, "finite"),
+        ({"weights": (1e308, 1e308)}, "more than a number can hold"),
         ({"method": "magic"}, "magic"),
         ({"max_sd": 0.0}, "bound"),
         ({"max_sd": float("inf")}, "bound"),
         ({"expressions": 0}, "expressions"),
         ({"sharpen": -1.0}, "sharpening"),
         ({"sharpen": float("nan")}, "sharpening"),
+        ({"sharpen": 3.1}, "0 to 3"),
         ({"components": 0}, "components"),
         ({"flow": "magic"}, "magic"),
     ],
@@ -387,6 +418,17 @@ def test_the_command_writes_a_model_that_opens_and_its_page(saved, tmp_path):
     assert "keypoints" in ran.output and "--auto" in ran.output  # for the landmarks that were not learned
     ran = CliRunner().invoke(main, ["info", str(out)])
     assert ran.exit_code == 0 and "avatar" in ran.output
+    assert "anna 0.5, ben 0.5" in ran.output and "background of anna" in ran.output
+    assert "registration" not in ran.output and "blended onto one faceframe" in ran.output
+
+
+@pytest.mark.usefixtures("without_networks")
+def test_too_few_expressions_for_landmarks_are_not_answered_with_a_verb_that_needs_as_many(saved, tmp_path):
+    words = [str(saved["anna"]), str(saved["ben"]), "-o", str(tmp_path / "a.morph"), "--flow", "dis"]
+    ran = CliRunner().invoke(main, ["blend-avatar", *words, "--expressions", "3", "--identity", "anna"])
+    assert ran.exit_code == 0, ran.output
+    assert "more --expressions" in ran.output and "keypoints" not in ran.output.split("landmarks, which")[1]
+    assert "the avatar is called anna, as one of its sources is" in ran.output
 
 
 @pytest.mark.usefixtures("without_networks")
@@ -398,6 +440,9 @@ def test_the_command_writes_a_model_that_opens_and_its_page(saved, tmp_path):
         (("anna", "ben"), ("--weights", "1,2,3"), "3 weights"),
         (("anna", "ben"), ("--weights", "0,0"), "sum to 0"),
         (("anna", "ben"), ("--weights", "1,x"), "not a list of numbers"),
+        (("anna", "ben"), ("--weights", "1e308,1e308"), "smaller"),
+        (("anna", "ben"), ("--identity", " "), "no name"),
+        (("anna", "ben"), ("--sharpen", "10"), "0 to 3"),
         (("anna", "ben"), ("--expressions", "few"), "neither all nor"),
         (("anna", "ben"), ("--surround", "carl"), "carl"),
         (("anna", "gone"), (), "gone.morph"),
@@ -467,7 +512,11 @@ def test_an_output_that_is_an_input_is_refused(saved):
 def test_what_is_not_ours_stays_in_a_work_folder(tmp_path):
     folder = tmp_path / "a.morph.work"
     (folder / "builds").mkdir(parents=True)
-    for name in ("0257b168fb99e58c2356d7f2479b9f33.frame", "builds/0257b168fb99e58c.blend", "morphs-x.rows"):
+    stopped = ".0257b168fb99e58c2356d7f2479b9f33.2gaer3l7.blend"
+    for name in (
+        *("0257b168fb99e58c2356d7f2479b9f33.frame", "builds/0257b168fb99e58c.blend", "morphs-x.rows"),
+        *(stopped, "builds/.0257b168fb99e58c.a_b4c5d6.frame"),
+    ):
         (folder / name).touch()
     (folder / "notes.txt").write_text("mine")
     remove_work(folder)

@@ -35,7 +35,7 @@ def test_one_person_alone_comes_back():
 
 def test_a_person_mixed_with_themselves_comes_back():
     texture = skin(2)
-    shown = [Shown(texture, ALL * 0.7), Shown(texture, ALL * 0.3)]
+    shown = [Shown(texture, ALL, 0.7), Shown(texture, ALL, 0.3)]
     assert_allclose(banded(texture, shown, usual_of(texture, texture)), texture, atol=1e-6)
 
 
@@ -82,3 +82,66 @@ def test_where_all_is_flat_all_is_flat():
 @pytest.mark.parametrize("added, expected", [(0.0, 0.0), (0.02, 0.0), (0.05, 0.5), (-0.05, 0.5), (0.3, 1.0)])
 def test_a_face_becomes_another_by_how_much_its_colours_change(added, expected):
     assert_allclose(changed(np.full((60, 50, 3), added, np.float32)), expected, atol=1e-5)
+
+
+def glasses():
+    """A face (60, 200, 3) with a fine line across it and next to nothing else that is fine, and one without the line."""
+    bare, worn = (np.tile(0.5 + 0.02 * (skin(seed) - 0.5), (1, 4, 1)) for seed in (2, 9))
+    worn[30, 40:160] -= np.float32(0.3)
+    return bare, worn
+
+
+def contrast(mixed, worn):
+    """How much of the line is left to see in the finest band, 1 as its owner shows it."""
+    line = np.s_[27:34, 60:140]
+    own = detail_of(worn)[line]
+    return float(np.vdot(detail_of(mixed)[line], own) / np.vdot(own, own))
+
+
+def mixed_with(weights, textures):
+    mean = np.tensordot(np.array(weights, np.float32) / sum(weights), np.array(textures), 1)
+    shown = [
+        Shown(texture, np.ones(texture.shape[:2], np.float32), weight)
+        for texture, weight in zip(textures, weights, strict=True)
+    ]
+    return banded(mean, shown, [1e-4] * len(shown))
+
+
+def test_detail_that_one_alone_has_fades_in_a_straight_line_with_the_weight():
+    """Were strength and weight one product, a twentieth of the weight would show the line almost whole."""
+    bare, worn = glasses()
+    weights = np.array([0.0, 0.05, 0.2, 0.35, 0.5, 0.65, 0.8, 0.95, 1.0])
+    seen = np.array([contrast(mixed_with((1 - w, w), (bare, worn)), worn) for w in weights])
+    assert (np.diff(seen) > 0).all()
+    assert abs(seen[0]) < 0.01 and seen[-1] == pytest.approx(1, abs=1e-4)
+    up_to_equal = weights <= 0.5
+    assert_allclose(seen[up_to_equal], 2 * weights[up_to_equal] * seen[4], atol=0.01)
+    assert seen[4] > 0.9  # with equal weights it is not halved, as a mean would halve it
+
+
+def test_a_weight_near_zero_is_as_no_weight():
+    bare, worn = glasses()
+    third = np.flipud(bare)
+    for weights in ((1.0, 0.0), (0.6, 0.4)):
+        without = mixed_with(weights, (bare, worn))
+        nearly = mixed_with((*weights, 1e-6), (bare, worn, third))
+        assert_allclose(nearly, without, atol=1e-4)
+
+
+def test_equal_weights_deal_detail_out_by_strength_alone():
+    one, other = skin(2), skin(9)
+    for weight in (0.5, 1.0, 7.0):
+        assert_allclose(
+            mixed_with((weight, weight), (one, other)), mixed_with((1, 1), (one, other)), atol=1e-5
+        )
+    strong = [strength(detail_of(texture))[..., None] for texture in (one, other)]
+    expected = (strong[0] * detail_of(one) + strong[1] * detail_of(other)) / (strong[0] + strong[1])
+    coarser = np.mean([texture - detail_of(texture) for texture in (one, other)], axis=0, dtype=np.float32)
+    assert_allclose(mixed_with((1, 1), (one, other)) - coarser, expected, atol=2e-3)
+
+
+def test_detail_of_one_among_three_is_never_less_with_more_weight():
+    bare, worn = glasses()
+    third = np.flipud(bare)
+    seen = [contrast(mixed_with((0.5, w, 0.3), (bare, worn, third)), worn) for w in np.linspace(0, 1, 11)]
+    assert (np.diff(seen) > -1e-3).all() and seen[0] < 0.02 and seen[-1] > 0.95

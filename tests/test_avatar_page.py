@@ -185,8 +185,24 @@ def test_mean_face_of_a_model_has_no_distance_to_itself_and_some_to_a_brighter_o
     one = model.with_faceframe(frame)
     texture = (one.mean.texture + np.float32(0.05)).astype(np.float32)
     brighter = replace(one, mean=replace(one.mean, texture=texture))
-    found = mean_face_distances([one, brighter], one)
+    everywhere = np.ones(model.mask.shape, bool)
+    found = mean_face_distances([one, brighter], one, everywhere)
     assert found.shape_percent is None
     assert found.colour_percent[0, 2] == pytest.approx(0, abs=0.02)
     assert found.colour_percent[0, 1] == pytest.approx(5, abs=0.2)
     np.testing.assert_array_equal(found.colour_percent, found.colour_percent.T)
+
+
+def test_colour_is_compared_in_the_shared_face_alone(model):
+    one = model.with_faceframe(FaceFrame((16.0, 26.0), (44.0, 26.0), (30.0, 46.0)))
+    shared = np.zeros(model.mask.shape, bool)
+    shared[20:50, 20:44] = True
+    texture = np.array(one.mean.texture)
+    texture[:10] = 1 - texture[:10]  # other hair
+    found = mean_face_distances([one, replace(one, mean=replace(one.mean, texture=texture))], one, shared)
+    assert found.colour_percent[0, 1] < 0.1
+
+
+def test_page_says_whose_hair_it_is_and_what_else_can_be_had(shown):
+    assert "Ann&#x27;s alone" in avatar_page(shown) and "--surround flat" in avatar_page(shown)
+    assert "flat grey" in avatar_page(replace(shown, surround="flat field"))

@@ -142,7 +142,7 @@ def test_the_whole_path_on_a_drawn_clip(actor: Path, model: Path, tmp_path: Path
 
     assert run("sample", model, "-o", tmp_path / "random", "-n", 3, "--seed", 7).exit_code == 0
     assert run("sweep", model, "-o", tmp_path / "sweep", "-k", 1, "--steps", 3).exit_code == 0
-    assert read_image(tmp_path / "sweep" / "pc001.png").shape == (80, 3 * 64, 3)
+    assert read_image(tmp_path / "sweep" / "pc001_+3sd.png").shape == (80, 64, 3)
     record = json.loads((tmp_path / "random" / "record.json").read_text(encoding="utf-8"))
     assert record["settings"]["seed"] == 7 and "sample_0000.png" in record["outputs"]
 
@@ -432,7 +432,7 @@ def test_a_video_has_its_record_beside_it(actor: Path, model: Path, tmp_path: Pa
     assert run("encode", model, actor, "-o", tmp_path / "a.csv").exit_code == 0
     assert run("render", model, tmp_path / "a.csv", "-o", tmp_path / "a.mp4").exit_code == 0
     record = json.loads((tmp_path / "a.mp4.record.json").read_text(encoding="utf-8"))
-    assert record["verb"] == "render" and list(record["outputs"]) == ["a.mp4"]
+    assert record["verb"] == "render" and list(record["outputs"]) == ["a.mp4", "a.mp4.json"]
 
 
 @pytest.mark.parametrize(

@@ -357,7 +357,7 @@ def test_the_record_of_drawn_actors_fits_the_schema(actors):
 def test_a_record_names_the_settings_and_the_digest_of_every_file(sampled, model_path):
     record = record_in(sampled)
     assert record["verb"] == "sample"
-    assert record["settings"] == {"count": 2, "seed": 7, "spread": 1.0}
+    assert record["settings"] == {"count": 2, "max_sd": None, "model": "a.morph", "seed": 7, "spread": 1.0}
     assert record["inputs"] == {"model": digest_of_file(model_path)}
     files = {str(path.relative_to(sampled)): path for path in sampled.rglob("*") if path.is_file()}
     del files["record.json"]
@@ -405,7 +405,7 @@ def test_the_verbs_of_the_schema_are_those_that_write_records_and_are_on_the_pag
     writing = {
         path.stem.replace("_", "-")
         for path in verbs.glob("*.py")
-        if re.search(r"(?<!def )\bwrite_record\(", path.read_text())
+        if re.search(r"(?<!def )\bwrite_(record|set)\(", path.read_text())
     }
     assert set(validator_of("record").schema["properties"]["verb"]["enum"]) == writing
     page = (DATA_SPEC / "record.md").read_text()

@@ -288,3 +288,10 @@ def test_the_command_line_lists_and_refuses_in_one_line(command, tmp_path):
     assert failed.exit_code == 2
     assert failed.output.count("\n") == 1
     assert "nowhere does not exist" in failed.output
+
+
+def test_a_file_where_the_folder_should_be_names_the_variable(tmp_path):
+    (tmp_path / "file").write_text("mine")
+    with pytest.raises(BadInput, match=r"file is a file, .*MORPHSPACE_MODELS"):
+        result_of(run(FetchModelsRequest(folder=tmp_path / "file"), download=no_download))
+    assert (tmp_path / "file").read_text() == "mine"

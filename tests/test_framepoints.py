@@ -5,7 +5,6 @@ from dataclasses import replace
 import numpy as np
 from numpy.testing import assert_allclose, assert_array_equal
 
-from morphspace import build as build_module
 from morphspace import facemask, warp
 from morphspace.build import BuildSettings, build_steps
 from morphspace.facefinder import FaceFinder
@@ -20,6 +19,7 @@ from morphspace.facepoints import (
 from morphspace.faces import face_mask
 from morphspace.framepoints import points_steps
 from morphspace.progress import result_of
+from morphspace.registration import Registration
 from morphspace.storage import digest_of_array
 
 SETTINGS = BuildSettings(components=6, flow="dis", reference=0, warp_weight=0.05)
@@ -148,11 +148,11 @@ def test_the_same_frames_and_detector_give_the_same_bytes(clip, tmp_path):
 def test_registration_starts_from_the_points_of_the_face(clip, tmp_path, monkeypatch):
     starts = []
 
-    def registering(reference, image, kind, region, start=None):
+    def registering(registration, image, start=None):
         starts.append(start)
         return np.eye(2, 3)
 
-    monkeypatch.setattr(build_module.faces, "register", registering)
+    monkeypatch.setattr(Registration, "of", registering)
     built(clip, tmp_path / "with", miss=[clip.pictures[2]])
     # Every frame but the reference is registered once; the one without a face starts from nothing.
     assert sum(start is None for start in starts) == 1

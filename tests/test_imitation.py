@@ -9,7 +9,7 @@ from sklearn.feature_selection import mutual_info_regression
 from morphspace.basis import Basis
 from morphspace.errors import BadInput
 from morphspace.imitation import align, compare, masked_basis
-from morphspace.imitation.comparison import circular_shifts, familywise, p_values
+from morphspace.imitation.chance import baseline_of, familywise, in_pieces, of_random_phases, p_values
 from morphspace.imitation.information import entropy, mutual_information
 from morphspace.imitation.shape import lag_curves, peak, resampled, similarity, standardised
 from morphspace.progress import result_of
@@ -40,8 +40,10 @@ def test_a_sequence_is_its_own_perfect_imitation():
     assert measures["alignment_cost"][-1] == 0
     assert found.alignment.timing_rms_frames == 0
     assert len(found.alignment.path) == 60
-    for name in ("correlation_p", "distance_sd_p", "correlation_aligned_p", "alignment_cost_p"):
+    for name in ("correlation_p", "distance_sd_p"):
         assert measures[name][-1] == 1 / 60, name  # no shift of 59 comes as close
+    for name in ("correlation_aligned_p", "alignment_cost_p"):
+        assert measures[name][-1] == 1 / 200, name  # no copy of 199 of either kind does
     assert_array_equal(measures["correlation_p_familywise"][:-1], 1 / 60)
     assert_array_equal(measures["entropy_stimulus_nats"], measures["entropy_imitation_nats"])
 
@@ -137,9 +139,7 @@ def test_an_offset_changes_distances_and_not_what_is_centred():
     assert (moved["distance_sd"] > plain["distance_sd"]).all()
 
 
-@pytest.mark.parametrize(
-    "name", ["correlation_p", "distance_sd_p", "correlation_at_lag_p", "correlation_aligned_p"]
-)
+@pytest.mark.parametrize("name", ["correlation_p", "distance_sd_p"])
 def test_independent_motions_have_uniform_p_values(name):
     p = all_p_of_chance()[name]
     p = p - np.random.default_rng(0).uniform(0, 1 / 20, len(p))  # 20 frames give p in steps of 1/20
@@ -147,14 +147,126 @@ def test_independent_motions_have_uniform_p_values(name):
     assert (p <= 0.1).mean() < 0.16  # 0.1 and two standard errors of 200 draws
 
 
+@pytest.mark.parametrize("name", ["correlation_at_lag_p", "correlation_aligned_p"])
+def test_independent_motions_are_seldom_called_imitations_after_a_search(name):
+    """The larger of two p is a little larger than uniform."""
+    p = all_p_of_chance()[name]
+    assert (p <= 0.1).mean() < 0.16
+    assert 0.45 < p.mean() < 0.65
+
+
 def all_p_of_chance(cache={}):  # noqa: B006 - a cache, filled once
     if not cache:
         rows = []
         for seed in range(200):
             one, other = motion(20, 2, 1000 + seed, 0), motion(20, 2, 5000 + seed, 0)
-            rows.append({k: v[-1] for k, v in compared(one, other).measures.items()})
+            rows.append({k: v[-1] for k, v in compared(one, other, permutations=19).measures.items()})
         cache.update({name: np.array([row[name] for row in rows]) for name in rows[0]})
     return cache
+
+
+def walk(rng, frames, components):
+    return rng.standard_normal((frames, components)).cumsum(axis=0)
+
+
+def smooth(rng, frames, components):
+    return ndimage.gaussian_filter1d(rng.standard_normal((frames + 40, components)), 4, axis=0)[20:-20]
+
+
+def faint(rng, frames, components):
+    return ndimage.gaussian_filter1d(rng.standard_normal((frames + 40, components)), 1.5, axis=0)[20:-20]
+
+
+def events(rng, frames, components):
+    """Three expressions at random times, each moving all components together."""
+    when = ndimage.gaussian_filter1d((rng.random(frames + 40) < 3 / frames) * 1.0, 3)[20:-20]
+    return when[:, None] * rng.standard_normal(components) + 0.02 * faint(rng, frames, components)
+
+
+def p_at_lag(stimulus, imitation, seed, copies=39):
+    lags, curves = lag_curves(stimulus, imitation[None])
+    found = peak(curves[0], lags)[1]
+    p = []
+    for kind in (of_random_phases, in_pieces):
+        chance = np.concatenate(list(kind(imitation, copies, seed)))
+        null = np.array([peak(curve, lags)[1] for curve in lag_curves(stimulus, chance)[1]])
+        p.append(p_values(found, null)[-1])
+    return max(p)
+
+
+@pytest.mark.parametrize(
+    ("kind", "components"),
+    [
+        (smooth, 1),
+        (events, 6),
+        *(
+            pytest.param(kind, components, marks=pytest.mark.slow)
+            for kind, components in ((smooth, 6), (walk, 1), (walk, 6), (faint, 1), (faint, 6), (events, 1))
+        ),
+    ],
+)
+def test_independent_smooth_motions_do_not_imitate_at_their_best_lag(kind, components):
+    """Not more than one in twenty of 200 pairs, and two standard errors (.03); nor does nothing ever pass."""
+    p = []
+    for seed in range(200):
+        rng = np.random.default_rng(seed)
+        one, other = kind(rng, 60, components), kind(rng, 60, components)
+        p.append(p_at_lag(one, other, seed))
+    assert np.mean(np.array(p) <= 0.05) <= 0.08
+    assert 0.1 < np.mean(np.array(p) <= 0.2) < 0.3
+
+
+@pytest.mark.parametrize(("frames", "components"), [(24, 3), (60, 50)])
+@pytest.mark.parametrize("delay", [-5, 5])
+def test_a_copy_that_is_late_has_a_small_p_at_its_best_lag(frames, components, delay):
+    """However many shifts would be undone by the search: chance is no shift."""
+    whole = motion(frames + 5, components, seed=3)
+    stimulus, imitation = whole[5:], whole[:-5]
+    if delay < 0:
+        stimulus, imitation = imitation, stimulus
+    found = compared(stimulus, imitation, permutations=199).measures
+    assert_array_equal(found["lag_frames"], delay)
+    assert found["correlation_at_lag_p"][-1] <= 0.02
+    assert found["correlation_aligned_p"][-1] < 0.05
+
+
+def test_copies_of_random_phases_keep_spectra_and_what_components_have_in_common():
+    given = motion(30, 2, seed=6)
+    given[:, 1] += given[:, 0]
+    copies = np.concatenate(list(of_random_phases(np.column_stack([given, np.full(30, 0.3)]), 4000, 0)))
+    assert copies.shape == (4000, 30, 3)
+    assert_array_equal(copies[..., 2], 0.3)  # what does not move stays
+    assert_allclose(copies.mean(axis=(0, 1)), [*given.mean(axis=0), 0.3], atol=0.02)
+    a, b = (given - given.mean(axis=0)).T
+    moved = copies[..., :2] - given.mean(axis=0)
+    for lag in (0, 1, 4):  # the mean over copies of a product is that over the sequence and its reflection
+        for one, x in enumerate((a, b)):
+            for other, y in enumerate((a, b)):
+                both = np.concatenate([x, x[::-1]]), np.concatenate([y, y[::-1]])
+                truth = (both[0] * np.roll(both[1], -lag)).mean()
+                found = (moved[:, : 30 - lag, one] * moved[:, lag:, other]).mean()
+                assert found == pytest.approx(truth, abs=0.05)
+    assert np.abs(np.corrcoef(copies[..., 0].T)[0, 15]) < 0.9
+
+
+def test_copies_in_pieces_hold_every_frame_once_and_mostly_its_neighbours():
+    given = np.arange(40.0)[:, None]
+    copies = np.concatenate(list(in_pieces(given, 50, 0)))[..., 0]
+    assert_array_equal(np.sort(copies, axis=1), np.tile(np.arange(40.0), (50, 1)))
+    jumps = (np.abs(np.diff(copies, axis=1)) % 38 != 1).sum(axis=1)  # 39 is the turn's own seam
+    assert jumps.max() <= 4 and jumps.mean() > 3
+    for frames in (3, 4, 5, 8):
+        few = np.concatenate(list(in_pieces(given[:frames], 5, 0)))[..., 0]
+        assert_array_equal(np.sort(few, axis=1), np.tile(np.arange(float(frames)), (5, 1)))
+
+
+@pytest.mark.parametrize("kind", [of_random_phases, in_pieces])
+def test_copies_are_those_of_the_seed_however_many_are_made_at_a_time(kind, monkeypatch):
+    given = motion(20)
+    whole = np.concatenate(list(kind(given, 7, 3)))
+    monkeypatch.setattr("morphspace.imitation.chance.CHUNK_NUMBERS", 130)
+    assert_array_equal(np.concatenate(list(kind(given, 7, 3))), whole)
+    assert (np.concatenate(list(kind(given, 7, 4))) != whole).any()
 
 
 def test_smoothness_alone_is_not_taken_for_mimicry():
@@ -250,13 +362,20 @@ def test_two_sequences_that_do_not_move_are_compared_by_distance_alone():
 
 
 def test_a_constant_shift_list_is_all_there_are_or_a_seeded_sample():
-    assert_array_equal(circular_shifts(10, 1000, 0).shifts, np.arange(1, 10))
-    assert circular_shifts(10, 9, 0).is_exhaustive and not circular_shifts(10, 8, 0).is_exhaustive
-    some = circular_shifts(500, 50, 1).shifts
+    assert_array_equal(baseline_of(10, 1000, 0).shifts, np.arange(1, 10))
+    assert baseline_of(10, 9, 0).is_exhaustive and not baseline_of(10, 8, 0).is_exhaustive
+    some = baseline_of(500, 50, 1).shifts
     assert len(set(some.tolist())) == 50 and some.min() >= 1 and some.max() < 500
-    assert_array_equal(some, circular_shifts(500, 50, 1).shifts)
-    assert (some != circular_shifts(500, 50, 2).shifts).any()
-    assert len(circular_shifts(500, 499, 1).costly) == 199
+    assert_array_equal(some, baseline_of(500, 50, 1).shifts)
+    assert (some != baseline_of(500, 50, 2).shifts).any()
+    assert len(baseline_of(500, 499, 1).costly) == 199
+    short = baseline_of(24, 1000, 0)
+    assert short.least == {
+        "frame_by_frame": 1 / 24,
+        "information": 1 / 24,
+        "lag": 1 / 1001,
+        "alignment": 1 / 200,
+    }
 
 
 def test_without_permutations_there_are_no_p_values():

@@ -15,8 +15,10 @@ from morphspace import warp
 from morphspace.cli import OneLineErrors, verb
 from morphspace.cli_keypoints import add_keypoints
 from morphspace.errors import BadInput, ModelFileError
+from morphspace.facepoints import LEFT_LIDS, RIGHT_LIDS
 from morphspace.faces import FaceFrame
 from morphspace.files.images import read_image
+from morphspace.files.sidecars import MarkedFaceframe
 from morphspace.keypoints import (
     affine_between,
     affine_between_models,
@@ -28,6 +30,7 @@ from morphspace.keypoints import (
     reference_to_mean,
     required_faceframe,
 )
+from morphspace.landmarks import LANDMARKS, LandmarkRegression
 from morphspace.model import load_model
 from morphspace.modelfile import check_content
 from morphspace.progress import result_of
@@ -353,3 +356,90 @@ def test_a_damaged_model_is_not_written_again(saved):
     with pytest.raises(ModelFileError, match="changed after it was written"):
         result_of(run(KeypointsRequest(saved, points=tuple(map(tuple, FRAME.points)))))
     assert saved.read_bytes() == bytes(content)
+
+
+# advice that helps
+
+
+@pytest.mark.parametrize(
+    ("name", "points", "words", "advised", "not_advised"),
+    [
+        ("--set", [(20, 58), (41, 58), (30, 30)], [], "turn the face upright", "--negate-y"),
+        ("up.csv", [(20, 43), (41, 43), (30, 13)], [], "give --negate-y", "leave out"),
+        (
+            "down.csv",
+            [(20, 30), (41, 30), (30, 58)],
+            ["--negate-y"],
+            "leave out --negate-y",
+            "give --negate-y",
+        ),
+        (
+            "down.tps",
+            [(20, 30), (41, 30), (30, 58)],
+            ["--negate-y"],
+            "leave out --negate-y",
+            "give --negate-y",
+        ),
+        (
+            "below.tps",
+            [(20, -58), (41, -58), (30, -30)],
+            ["--negate-y"],
+            "turn the face upright",
+            "--negate-y,",
+        ),
+        ("below.csv", [(20, -30), (41, -30), (30, -58)], [], "give --negate-y", "--on reference"),
+    ],
+)
+def test_what_is_advised_helps(saved, command, tmp_path, name, points, words, advised, not_advised):
+    if name == "--set":
+        given = ["--set", " ".join(f"{x},{y}" for x, y in points)]
+    else:
+        rows = "".join(f"{x}{',' if name.endswith('csv') else ' '}{y}\n" for x, y in points)
+        (tmp_path / name).write_text(rows if name.endswith("csv") else f"LM=3\n{rows}ID=a\n")
+        given = ["--from", tmp_path / name, *words]
+    refused = command(saved, *given)
+    assert refused.exit_code == 2
+    told = refused.output.split("down here: ")[-1].split(" px: ")[-1]
+    assert advised in told and not_advised not in told
+    if "--negate-y" in advised:
+        given = given[:2] if "leave out" in advised else [*given, "--negate-y"]
+        assert command(saved, *given).exit_code == 0
+
+
+def test_points_far_from_the_landmarks_are_said(model, saved):
+    """The landmarks of the model stay where they are when the keypoints are set by hand."""
+    count = len(LANDMARKS)
+    mean = np.tile([30.0, 46.0], (count, 1))
+    for group, at in ((RIGHT_LIDS, FRAME.right_eye), (LEFT_LIDS, FRAME.left_eye)):
+        mean[[LANDMARKS.index(place) for place in group]] = at
+    weights = np.zeros((model.rank, count, 2))
+    learned = LandmarkRegression(mean, weights, np.ones(count), 12, 1.0, False)
+    model.with_faceframe(FRAME).with_landmarks(learned).save(saved)
+    near = result_of(run(KeypointsRequest(saved, points=((21, 31), (41, 29), (30, 44)))))
+    assert near.warnings == ()
+    far = result_of(run(KeypointsRequest(saved, points=((20, 30), (55, 29), (30, 44)))))
+    assert "the left eye lies 0.7 eye distances from 41.0,29.0" in far.warnings[0]
+
+
+def test_a_file_of_another_format_says_what_to_write(saved, command, tmp_path):
+    (tmp_path / "points.json").write_text('{"shapes": []}')
+    refused = command(saved, "--from", tmp_path / "points.json")
+    assert refused.exit_code == 2 and "write both eyes and the philtrum into a .csv" in refused.output
+
+
+def test_a_marked_point_that_cannot_be_is_named_with_its_value():
+    with pytest.raises(
+        BadInput, match=r"the philtrum of the faceframe of f, 30,90, lies outside its picture of 60 x"
+    ):
+        MarkedFaceframe("f", np.array([[20.0, 30], [40, 30], [30, 90]]), (60, 72))
+    with pytest.raises(BadInput, match="both eyes at 20,30: mark") as refusal:
+        MarkedFaceframe("f", np.array([[20.0, 30], [20, 30], [30, 50]]))
+    assert "swap" not in str(refusal.value)
+    with pytest.raises(BadInput, match="swap them"):
+        MarkedFaceframe("f", np.array([[40.0, 30], [20, 30], [30, 50]]))
+
+
+def test_a_model_that_is_not_there_or_a_folder_says_what_to_do(tmp_path, command):
+    (tmp_path / "folder").mkdir()
+    assert "check the name" in command(tmp_path / "nowhere.morph").output
+    assert "it is a folder; name the file" in command(tmp_path / "folder").output

@@ -12,13 +12,15 @@ import click
 import jsonschema
 import numpy as np
 import pytest
+from click.testing import CliRunner
 from numpy.testing import assert_allclose
 from scipy import ndimage
 
 from morphspace import cli_measure, warp
+from morphspace.cli import main
 from morphspace.errors import BadInput, ReferenceMismatch, UnreadableFile
 from morphspace.faces import FaceFrame
-from morphspace.files.images import write_image
+from morphspace.files.images import read_image, write_image
 from morphspace.files.tables import read_loadings_table, read_metrics_table, write_loadings_table
 from morphspace.files.video import video_info
 from morphspace.model import load_model
@@ -67,9 +69,11 @@ def clip(folder, name, loadings, model, rate_hz=None):
     return str(place)
 
 
-def measured(work, stimulus, imitation, **more):
+def measured(work, stimulus, imitation, detector=None, **more):
+    """Few copies of chance, for speed: as many as a short clip has shifts."""
+    more = {"permutations": FRAMES - 1, **more}
     request = MeasureMimicryRequest(stimulus, imitation, work / "drawn.morph", work / "out", **more)
-    return result_of(measure_mimicry.run(request))
+    return result_of(measure_mimicry.run(request, detector))
 
 
 def rows(work):
@@ -84,8 +88,13 @@ def test_a_table_against_itself_is_perfect(work, model):
     assert_allclose(found["correlation"], 1)
     assert found["distance_sd"] == [0, 0, 0, 0] and found["lag_frames"] == [0, 0, 0, 0]
     assert found["correlation_p"][-1] == round(1 / FRAMES, 6)
-    assert outcome.warnings == ()
+    assert outcome.warnings == (
+        "with 23 circular shifts no p of frames in pairs can be below 0.042: more frames are needed for a smaller one",
+    )
     assert outcome.document["correlation"] == pytest.approx(1)
+    assert outcome.document["least_p"] == dict.fromkeys(
+        ("frame_by_frame", "information", "lag", "alignment"), 1 / FRAMES
+    )
     back = read_loadings_table(work / "out" / "stimulus.csv")
     assert np.array_equal(back.loadings_sd, read_loadings_table(given).loadings_sd)
     assert back.document["model_id"] == model.model_id
@@ -235,8 +244,27 @@ def test_one_known_rate_is_said_to_be_taken_for_both(work, model):
 
 
 def test_few_shifts_are_said_to_be_no_test(work, model):
-    outcome = measured(work, table(work, "a", motion(9), model), table(work, "b", motion(9, 1), model))
-    assert any("no p can be below 0.11" in note for note in outcome.warnings)
+    given = table(work, "a", motion(9), model), table(work, "b", motion(9, 1), model)
+    outcome = measured(work, *given, permutations=99)
+    said = "with 8 circular shifts no p of frames in pairs can be below 0.11 (at the best lag and aligned down to 0.01)"
+    assert any(note.startswith(said) and "more frames" in note for note in outcome.warnings)
+    page = (work / "out" / "index.html").read_text()
+    assert "can be no smaller than 0.11 (0.11 for information)" in page
+    assert "can be no smaller than 0.01 (0.01 after alignment)" in page
+    assert any(
+        "4 circular shifts" in n and "more permutations" in n
+        for n in measured(work, *given, permutations=4).warnings
+    )
+
+
+def test_an_imitation_that_is_merely_late_is_told_from_chance_at_its_best_lag(work, model):
+    whole = motion(65)
+    outcome = measured(
+        work, table(work, "a", whole[5:], model), table(work, "b", whole[:-5], model), permutations=199
+    )
+    found = rows(work)
+    assert outcome.document["lag_frames"] == 5
+    assert found["correlation_at_lag_p"][-1] <= 0.02 < found["correlation_p"][-1]
 
 
 def test_a_lag_at_the_end_of_the_search_is_said(work, model):
@@ -346,6 +374,8 @@ def test_more_components_than_there_are_is_all_of_them_and_is_said(work, model):
     assert outcome.document["components"] == 3
     outcome = measured(work, good, narrow, components=3)
     assert "3 components were asked for, a table has 2: all of them are used" in outcome.warnings
+    said = f"{narrow} has 2 of 3 components of drawn: the others are not measured"
+    assert said in outcome.warnings and said in measured(work, narrow, good).warnings
     assert rows(work)["name"] == ["pc001", "pc002", "all"]
 
 
@@ -630,6 +660,120 @@ def test_bad_input_is_named_and_nothing_is_written(work, model, what):
     given, more, words = bad(work, model, what)
     with pytest.raises((BadInput, UnreadableFile), match=words):
         measured(work, *given, **more)
+    assert not (work / "out").exists()
+
+
+FACE = np.array([1.0])  # what a detector gives for a face; only that it is something is looked at here
+
+
+def test_frames_without_a_face_are_named(work, model):
+    given = clip(work, "clip", 0.5 * motion(6), model, 20), table(work, "b", 0.5 * motion(6, 1), model)
+    seen = [read_image(path) for path in sorted((work / "clip").glob("*.png"))]
+
+    def detector(image):
+        place = next((i for i, frame in enumerate(seen) if np.array_equal(frame, image)), None)
+        return None if place in (2, 5) else FACE
+
+    outcome = measured(work, *given, detector=detector)
+    assert outcome.document["no_face"] == 2
+    assert outcome.document["frames_without_face"] == {
+        "stimulus": ["clip_002", "clip_005"],
+        "imitation": None,
+    }
+    said = "2 of 6 frames of the stimulus clip show no face to the detector (the first is clip_002): "
+    assert outcome.warnings[0].startswith(said)
+    assert said in (work / "out" / "index.html").read_text()
+    validator().validate(json.loads((work / "out" / "measures.json").read_text()))
+    outcome = measured(work, *given, detector=lambda image: FACE)
+    assert outcome.document["no_face"] == 0 and not any("face to the" in note for note in outcome.warnings)
+    assert outcome.document["frames_without_face"]["stimulus"] == []
+
+
+def test_why_faces_were_not_looked_for_is_said(work, model):
+    given = clip(work, "clip", 0.5 * motion(6), model, 20), table(work, "b", 0.5 * motion(6, 1), model)
+    without = measured(work, *given)
+    assert any(
+        "of the stimulus clip show a face was not looked at" in n and "models fetch" in n
+        for n in without.warnings
+    )
+    unknown = measured(work, *given, detector=lambda image: None)
+    assert any("sees no face in the mean of drawn" in note for note in unknown.warnings)
+    for outcome in (without, unknown):
+        assert outcome.document["no_face"] == 0
+        assert outcome.document["frames_without_face"] == {"stimulus": None, "imitation": None}
+    assert not any("face" in note for note in measured(work, given[1], given[1]).warnings)  # tables
+
+
+def test_the_command_line_exits_3_where_a_frame_shows_no_face(work, model, monkeypatch):
+    given = clip(work, "clip", 0.5 * motion(6), model, 20), table(work, "b", 0.5 * motion(6, 1), model)
+    words = [
+        "measure-mimicry",
+        *given,
+        "--model",
+        work / "drawn.morph",
+        "-o",
+        work / "out",
+        "--permutations",
+        5,
+    ]
+    calls = []
+
+    def detector(image):  # finds a face in the mean, and in nothing else
+        calls.append(image)
+        return FACE if len(calls) == 1 else None
+
+    assert CliRunner().invoke(main, list(map(str, words))).exit_code == 0
+    monkeypatch.setattr(measure_mimicry, "own_detector", lambda: detector)
+    result = CliRunner().invoke(main, list(map(str, words)))
+    assert result.exit_code == 3, result.output
+    assert "6 of 6 frames of the stimulus clip show no face to the detector: " in result.stderr
+
+
+@pytest.mark.parametrize("name", measure_mimicry.WRITTEN)
+def test_files_that_are_not_ours_are_not_written_over(work, model, name):
+    given = table(work, "a", motion(), model)
+    (work / "out").mkdir()
+    (work / "out" / name).write_text('{"verb": "mimic"}')
+    with pytest.raises(
+        BadInput, match=f"no folder of an earlier measure-mimicry, and its {name} would be written over"
+    ):
+        measured(work, given, given)
+    assert {path.name: path.read_text() for path in (work / "out").iterdir()} == {name: '{"verb": "mimic"}'}
+
+
+def test_files_under_other_names_stay_beside_ours(work, model):
+    given = table(work, "a", motion(), model)
+    (work / "out").mkdir()
+    (work / "out" / "notes.txt").write_text("mine")
+    measured(work, given, given)
+    assert (work / "out" / "notes.txt").read_text() == "mine"
+
+
+def test_a_run_that_fails_half_way_leaves_a_folder_the_next_one_takes(work, model, monkeypatch):
+    given = table(work, "a", motion(), model)
+
+    def stop(*_, **__):
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patched:
+        patched.setattr(measure_mimicry, "write_measures", stop)
+        with pytest.raises(KeyboardInterrupt):
+            measured(work, given, given)
+    assert {path.name for path in (work / "out").iterdir()} == {"side-by-side.mp4", "measure-mimicry.work"}
+    measured(work, given, given)
+    assert {path.name for path in (work / "out").iterdir()} == set(measure_mimicry.WRITTEN)
+
+
+@pytest.mark.parametrize("where", ["compare", "_drawn"])
+def test_a_run_that_fails_before_anything_is_written_leaves_no_folder(work, model, monkeypatch, where):
+    given = table(work, "a", motion(), model)
+
+    def fail(*_, **__):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(measure_mimicry, where, fail)
+    with pytest.raises(KeyboardInterrupt):
+        measured(work, given, given)
     assert not (work / "out").exists()
 
 

@@ -28,6 +28,7 @@ from morphspace.faces import FaceFrame, Framing, face_mask
 from morphspace.files.images import read_image, write_image
 from morphspace.files.tables import read_loadings_table, read_metrics_table
 from morphspace.files.video import video_info
+from morphspace.keypoints import how_to_learn, required_landmarks
 from morphspace.mimic import METHODS, Quality, auto_gain, mimic, offset_of
 from morphspace.model import Loadings, MorphModel, inner_product, load_model, model_digest
 from morphspace.morph import Morph, parts_of, vector_of
@@ -481,12 +482,16 @@ def test_a_model_without_keypoints_says_the_command(work, model):
     ("more", "words"),
     [
         ({"method": "magic"}, "no mimicry by 'magic': choose auto, or one of"),
-        ({"gain": float("nan")}, "a gain of nan"),
-        ({"gain": float("inf")}, "a gain of inf"),
-        ({"max_sd": 0.0}, "a bound of 0.0 SD"),
-        ({"max_sd": float("nan")}, "a bound of nan SD"),
+        ({"gain": float("nan")}, "--gain nan"),
+        ({"gain": float("inf")}, "--gain inf"),
+        ({"gain": -1e30}, "--gain -1e+30"),
+        ({"gain": 1001.0}, "from -1000 to 1000"),
+        ({"max_sd": 0.0}, "--max-sd 0"),
+        ({"max_sd": float("nan")}, "--max-sd nan"),
+        ({"max_sd": 1e9}, "from 0.001 to 1000"),
+        ({"frames": ""}, "--frames is empty"),
         ({"components": 0}, "0 components"),
-        ({"method": "guided"}, "morphspace keypoints MODEL --auto"),
+        ({"method": "guided"}, "a.morph --auto`"),
         ({"neutral": "a,b,c"}, "--neutral 'a,b,c'"),
         ({"neutral": ""}, "--neutral ''"),
         ({"neutral": "auto,frame_001"}, "--neutral 'auto,frame_001'"),
@@ -664,7 +669,8 @@ def test_the_words_of_methods_are_the_methods():
 def test_the_method_is_guided_only_where_both_know_their_landmarks(work):
     outcome = run(work)
     assert json.loads((work / "out" / "quality.json").read_text())["method"] == "transfer"
-    assert any("morphspace keypoints MODEL --auto" in note for note in outcome.warnings)
+    (note,) = (note for note in outcome.warnings if "the method is transfer" in note)
+    assert "`morphspace keypoints a.morph --auto`" in note and "keypoints b.morph --auto" in note
     assert not any("method is" in note for note in run(work, method="transfer").warnings)
 
 
@@ -767,3 +773,128 @@ def test_what_was_done_to_driving_frames_is_said_and_nothing_else(work, picture,
 def test_a_word_that_is_no_gain_is_refused():
     result = CliRunner().invoke(main, ["mimic", "--src", "a", "--dst", "b", "-o", "c", "--gain", "much"])
     assert result.exit_code == 2 and "neither a number nor auto" in result.stderr
+
+
+def test_after_an_error_the_mended_command_goes_on(work, actor):
+    """The folder is marked as ours before there is a picture, however early the run fails."""
+    given = clip(work, actor, actor.training.values[:3])
+    bad = work / "clip" / "clip_001.png"
+    whole = bad.read_bytes()
+    bad.write_bytes(whole[:-300])
+    with pytest.raises(UnreadableFile, match=r"clip_001\.png"):
+        run(work, frames=given)
+    assert (work / "out" / "frames").exists() and (work / "out" / "mimic.work").is_dir()
+    bad.write_bytes(whole)
+    run(work, frames=given)
+    run(work, frames=given, output=work / "fresh")
+    files = {path.relative_to(work / "fresh") for path in (work / "fresh").rglob("*") if path.is_file()}
+    assert {path.relative_to(work / "out") for path in (work / "out").rglob("*") if path.is_file()} == files
+    for name in files:
+        assert (work / "fresh" / name).read_bytes() == (work / "out" / name).read_bytes(), name
+
+
+def test_a_run_that_fails_before_the_first_picture_leaves_nothing(work, actor):
+    given = clip(work, actor, actor.training.values[:3])
+    bad = work / "clip" / "clip_000.png"
+    bad.write_bytes(bad.read_bytes()[:-300])
+    with pytest.raises(UnreadableFile):
+        run(work, frames=given)
+    assert not (work / "out").exists()
+
+
+def test_the_mark_is_there_before_any_picture(work, monkeypatch):
+    seen = []
+
+    def written(path, image):
+        seen.append((work / "out" / "mimic.work").is_dir() and any((work / "out" / "mimic.work").iterdir()))
+        raise UnwritableFile("full")
+
+    monkeypatch.setattr(mimic_frames, "write_image", written)
+    with pytest.raises(UnwritableFile):
+        run(work)
+    assert seen and all(seen) and not (work / "out").exists()
+
+
+def test_what_a_killed_run_left_unfinished_goes_and_other_settings_take_all_of_it(work):
+    steps = verb.run(MimicRequest(str(work / "a.morph"), str(work / "b.morph"), work / "out"))
+    for step in steps:
+        if step.stage == "mimic" and step.done == 5:
+            steps.close()
+    for name in ("frames/.frame_007.q9dmwn9r.png", "mimic.work/.abc.0_x9y8zz.json", ".index.q9dmwn9r.html"):
+        (work / "out" / name).write_bytes(b"half")
+    (work / "out" / ".mine.png").write_bytes(b"mine")
+    outcome = run(work, gain=0.5)
+    assert not any("other pictures" in note for note in outcome.warnings)
+    run(work, gain=0.5, output=work / "fresh")
+    (work / "out" / ".mine.png").unlink()
+    lying = [
+        {path.relative_to(work / name) for path in (work / name).rglob("*")} for name in ("out", "fresh")
+    ]
+    assert lying[0] == lying[1]
+
+
+def test_frames_in_the_output_folder_itself_are_refused(work, actor):
+    given = clip(work, actor, actor.training.values[:3])
+    before = sorted((work / "clip").iterdir())
+    with pytest.raises(BadInput, match="holds the frames that are read"):
+        run(work, frames=given, output=work / "clip")
+    with pytest.raises(BadInput, match="holds the frames that are read"):
+        run(work, frames=str(work / "clip" / "*.png"), output=work / "clip")
+    assert sorted((work / "clip").iterdir()) == before
+
+
+@pytest.mark.parametrize("side", ["source", "target"])
+def test_a_clip_too_short_for_a_model_is_named_with_its_side(work, actor, side):
+    given = clip(work, actor, actor.training.values[:1])
+    sides = {"source": str(work / "a.morph"), "target": str(work / "b.morph"), side: given}
+    flag = {"source": "--src", "target": "--dst"}[side]
+    with pytest.raises(BadInput, match=rf"{flag} .*clip is a clip of 1 frame, .*at least 3"):
+        result_of(verb.run(MimicRequest(**sides, output=work / "out")))
+    assert not (work / "out").exists()
+
+
+def test_a_model_of_too_few_faces_is_not_sent_to_a_command_that_cannot_help(work, actor):
+    names = actor.training.frame_names[:5]
+    training = Loadings(actor.training.values[:5], names, actor.model_id)
+    dataclasses.replace(actor, training=training).save(work / "few.morph")
+    with pytest.raises(BadInput, match=r"few\.morph .*it holds 5 faces, too few") as refusal:
+        run(work, "few", "a", method="guided")
+    assert "--auto" not in str(refusal.value)
+    with pytest.raises(BadInput, match="it holds 5 faces"):
+        required_landmarks(load_model(work / "few.morph"))
+    (note,) = (note for note in run(work, "few", "a").warnings if "the method is transfer" in note)
+    assert "few.morph --auto" not in note and "a.morph --auto" in note
+    tried = actor.with_faceframe(actor.faceframe, {"source": "auto", "lip": "philtrum", "found": 4})
+    assert how_to_learn(tried, "x").startswith("a face was found in 4 of its 12 faces")
+
+
+def test_damaged_networks_are_told_from_missing_ones(work, actor, tmp_path, monkeypatch):
+    folder = tmp_path / "networks"
+    folder.mkdir()
+    (folder / "face_landmark.tflite").write_bytes(b"half")
+    monkeypatch.setenv("MORPHSPACE_MODELS", str(folder))
+    (note,) = (note for note in run(work).warnings if "models fetch" in note)
+    assert "face_landmark.tflite" in note and "damaged" in note and str(folder) not in note
+    given = clip(work, actor, actor.training.values[:3])
+    with pytest.raises(BadInput, match=r"face_landmark\.tflite .* damaged"):
+        result_of(verb.run(MimicRequest(given, str(work / "b.morph"), work / "new")))
+
+
+def test_the_number_of_components_is_named_where_it_keeps_the_motion_back(work):
+    (note,) = (n for n in run(work, components=1, gain=1.0).warnings if "of the motion's energy" in n)
+    assert "by 1 of its 2 components" in note and "-k" in note
+
+
+def test_a_share_is_the_same_in_the_line_and_in_the_note(work, other):
+    outcome = run(work, components=1, gain=1.0)
+    (note,) = (n for n in outcome.warnings if "of the motion's energy" in n)
+    share = note.split("shows only ")[1].split("%")[0]
+    assert f"of the motion {share}% is kept" in outcome.lines[0]
+
+
+def test_an_empty_output_is_not_the_current_folder(work, monkeypatch):
+    monkeypatch.chdir(work)
+    before = sorted(work.iterdir())
+    result = CliRunner().invoke(main, ["mimic", "--src", "a.morph", "--dst", "b.morph", "-o", ""])
+    assert result.exit_code == 2 and "'-o'" in result.stderr and "empty" in result.stderr
+    assert sorted(work.iterdir()) == before

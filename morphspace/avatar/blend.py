@@ -17,8 +17,9 @@ import numpy as np
 from morphspace.arrays import AnyArray, Image, Mask
 from morphspace.avatar.common_face import version_picture
 from morphspace.avatar.mixing import Mixer
-from morphspace.avatar.settings import SOURCE, AvatarSettings, Expression
-from morphspace.avatar.sharpness import Curve, curve, mean_curve, sharpened, sharpness
+from morphspace.avatar.notes import notes_on
+from morphspace.avatar.settings import MOST_SHARPEN, AvatarSettings, Expression
+from morphspace.avatar.sharpness import WELL_INSIDE, Curve, curve, mean_curve, sharpened, sharpness
 from morphspace.avatar.studio import Studio, studio_of
 from morphspace.build import Build, BuildSettings, build_steps
 from morphspace.errors import BadInput
@@ -32,13 +33,12 @@ from morphspace.warp import move_points
 from morphspace.workframes import FLOW_VERSION, KEY_DIGITS, is_whole
 
 BLEND_FORMAT = "morphspace-blend-1"
-BLEND_VERSION = 3  # raise it when blends come out otherwise: kept pictures are then made again
+BLEND_VERSION = 4  # raise it when blends come out otherwise: kept pictures are then made again
 PIXEL_AVERAGES = 16  # expressions, evenly spread, of which the pixel average is made for comparison
 LEAST_EXPRESSIONS = 3
 KEPT = 0.77  # of the pictures' sharpness comes back from the finished model; measured on two groups of four people
 NEAR = (0.93, 1.10)  # of what is wanted: further off, the model is built once more with another amount
 DRAWN = 24  # expressions, evenly spread, of which the finished model's sharpness is the mean
-MOST_AMOUNT = 3.0  # that is chosen by itself: with more, edges ring
 TINY = 1e-9
 REGISTRATION: RegistrationKind = "similarity"  # of pictures the finished model is given
 
@@ -90,6 +90,11 @@ class Avatar:
     studio: Studio = field(repr=False)
     chosen: Sequence[tuple[int, int]] = field(repr=False)
     frames: BlendedFrames = field(repr=False)
+
+    @property
+    def judged(self) -> AnyArray:
+        """Where (h, w), bool, the avatar's mean face shows what all have: face, and nobody's hair."""
+        return self.studio.mixer(self.studio.reference).judged_picture > WELL_INSIDE
 
     def versions(self, index: int) -> list[Image]:
         """Give the k aligned versions (h, w, 3) of expression `index`; the mean face of one that takes no part."""
@@ -145,7 +150,7 @@ def blend_steps(models: Sequence[MorphModel], settings: AvatarSettings, work_fol
         surround=surround,
         sharpen=amount,
         sharpness=measured,
-        notes=(*_notes(studio, expressions), *build.warnings),
+        notes=(*notes_on(studio, expressions, drawn / wanted if wanted > 0 else 1.0), *build.warnings),
         build=build,
         studio=studio,
         chosen=chosen,
@@ -245,7 +250,7 @@ def _sharpness(
 
 
 def _amount(curves: Curve, wanted: float) -> float:
-    return min(curves.amount_for(wanted), MOST_AMOUNT)
+    return min(curves.amount_for(wanted), MOST_SHARPEN)
 
 
 def _drawn_sharpness(studio: Studio, chosen: Sequence[tuple[int, int]], model: MorphModel) -> float:
@@ -329,8 +334,8 @@ def _provenance(studio: Studio, frames: BlendedFrames, amount: float) -> dict[st
         "identity": "avatar",
         "versions": {},
         **settings.provenance,
-        "consent": _together(labels, [model.provenance.get("consent") for model in models]),
-        "licence": _together(labels, [model.provenance.get("licence") for model in models]),
+        "consent": told_together(labels, [model.provenance.get("consent") for model in models]),
+        "licence": told_together(labels, [model.provenance.get("licence") for model in models]),
         "frame_rate_hz": None,
         "framing": {"source_size": [width, height], "crop": None, "size": [width, height]},
         "inputs": dict(zip(frames.names, frames.digests, strict=True)),
@@ -350,34 +355,10 @@ def _provenance(studio: Studio, frames: BlendedFrames, amount: float) -> dict[st
     }
 
 
-def _together(labels: Sequence[str], told: Sequence[Any]) -> Any:
+def told_together(labels: Sequence[str], told: Sequence[Any]) -> Any:
     """Give what all models tell, or who tells what; None where nobody tells anything."""
     if all(one == told[0] for one in told):
         return told[0]
     return "; ".join(
         f"{label}: {'not told' if one is None else one}" for label, one in zip(labels, told, strict=True)
     )
-
-
-def _notes(studio: Studio, expressions: Sequence[Expression]) -> tuple[str, ...]:
-    notes = []
-    idle = [studio.labels[i] for i in range(len(studio.models)) if i not in studio.part]
-    if idle:
-        notes.append(f"{', '.join(idle)}: weight 0, so neither face nor expressions take part")
-    names = [model.identity for model in studio.models]
-    for name in dict.fromkeys(name for name in names if names.count(name) > 1):
-        notes.append(
-            f"{names.count(name)} of the models are of {name}: that identity counts so many times; leave out what "
-            "repeats"
-        )
-    for given in studio.part:
-        out = [one for one in expressions if one.weights[given] == 0]
-        if out:
-            shown = ", ".join(one.name for one in out[:3])
-            notes.append(
-                f"{studio.labels[given]} is left out of {len(out)} of {len(expressions)} expressions that it cannot "
-                f"show ({shown}{', ...' if len(out) > 3 else ''}): there it enters with its mean face only"
-            )
-    if studio.settings.faceframe != SOURCE and len(studio.part) == 1:
-        notes.append("only one identity has any weight: the avatar is that person")
-    return tuple(notes)

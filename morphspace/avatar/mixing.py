@@ -117,8 +117,8 @@ class Mixer:
         for i, (version, rest, skin) in enumerate(zip(versions, self.rest, self.common.skin, strict=True)):
             sure = np.float32(believed(version))
             own = offsets[i].texture - added if sure > 0 else np.float32(0)
-            share = np.float32(self.weights[i]) * (skin + np.float32(LEAST_SKIN)) * (1 - (1 - sure) * another)
-            shown.append(Shown(rest.texture + added + sure * own, share))
+            share = (skin + np.float32(LEAST_SKIN)) * (1 - (1 - sure) * another)
+            shown.append(Shown(rest.texture + added + sure * own, share, float(self.weights[i])))
         return banded(self.mean.texture + added, shown, self.usual)
 
     @cached_property

@@ -22,7 +22,7 @@ MEAN, SOURCE = "mean", "source"
 FLAT = "flat"
 EXPRESSIONS = 40  # of each identity; more cost in proportion and add little that is new
 COMPONENTS = 50
-MOST_SHARPEN = 10.0
+MOST_SHARPEN = 3.0  # with more, edges ring
 
 
 @dataclass(frozen=True, eq=False)
@@ -138,9 +138,14 @@ def _weights(asked: Sequence[float] | None, count: int) -> AnyArray:
         raise BadInput(f"{weights.size} weights do not fit {count} models: give one a model, in their order")
     if not np.isfinite(weights).all() or (weights < 0).any():
         raise BadInput(f"the weights {_told(weights)} are not all finite and at least 0: mend them")
-    if not weights.sum() > 0:
+    with np.errstate(over="ignore"):
+        total = float(weights.sum())
+    if not np.isfinite(total):
+        raise BadInput(f"the weights {_told(weights)} sum to more than a number can hold: give smaller ones")
+    if total <= 0:
         raise BadInput(f"the weights {_told(weights)} sum to 0: give at least one identity some weight")
-    return weights / weights.sum()
+    shares: AnyArray = weights / total
+    return shares
 
 
 def _told(weights: AnyArray) -> str:

@@ -21,6 +21,10 @@ from morphspace.storage import json_text, write_text
 
 FACEFRAME_FORMAT = "morphspace-faceframe"
 FACEFRAME_VERSION = 1
+WRITE_POINTS = (
+    "give a faceframe file (data_spec/faceframe.md), or write both eyes and the philtrum into a .csv, x,y in each "
+    "line"
+)
 POINT_NAMES = ("right_eye", "left_eye", "philtrum")
 TEXT_KEYS = ("identity", "consent", "licence")
 
@@ -43,17 +47,29 @@ class MarkedFaceframe:
         points = np.array(self.points, np.float64)
         if points.shape != (3, 2) or not np.isfinite(points).all():
             raise BadInput(f"the faceframe of {self.image} is not three finite (x, y) points: mark it again")
-        if points[0, 0] >= points[1, 0]:
+        if (points[0] == points[1]).all():
+            raise BadInput(
+                f"the faceframe of {self.image} has both eyes at {points[0, 0]:g},{points[0, 1]:g}: mark them again"
+            )
+        if points[0, 0] == points[1, 0]:
+            raise BadInput(
+                f"the faceframe of {self.image} has both eyes at x {points[0, 0]:g}, one above the other: mark them "
+                "again, or turn the picture upright"
+            )
+        if points[0, 0] > points[1, 0]:
             raise BadInput(
                 f"the faceframe of {self.image} has the right eye at x {points[0, 0]:g} and the left eye "
                 f"at x {points[1, 0]:g}: right is the subject's right, on the left of the picture; swap them"
             )
-        if self.size is not None and ((points < -0.5) | (points > np.array(self.size) - 0.5)).any():
-            raise BadInput(
-                f"the faceframe of {self.image} lies outside its picture of "
-                f"{self.size[0]} x {self.size[1]} pixels: "
-                "mark it again on this picture"
-            )
+        if self.size is not None:
+            outside = ((points < -0.5) | (points > np.array(self.size) - 0.5)).any(axis=1)
+            if outside.any():
+                first = int(outside.argmax())
+                x, y = points[first].tolist()
+                raise BadInput(
+                    f"the {POINT_NAMES[first]} of the faceframe of {self.image}, {x:g},{y:g}, lies outside its picture "
+                    f"of {self.size[0]} x {self.size[1]} pixels: mark it again on this picture"
+                )
         points.setflags(write=False)
         object.__setattr__(self, "points", points)
 
@@ -109,7 +125,7 @@ def read_faceframe(path: str | Path) -> MarkedFaceframe:
     """Read a faceframe file. Raises `UnreadableFile` and `BadInput` (format, version, points)."""
     path = Path(path)
     document = read_json_object(path)
-    check_format(path, document, FACEFRAME_FORMAT, FACEFRAME_VERSION)
+    check_format(path, document, FACEFRAME_FORMAT, FACEFRAME_VERSION, WRITE_POINTS)
     return _faceframe_of(path, document, "image")
 
 
@@ -143,10 +159,19 @@ def read_json_object(path: Path) -> dict[str, Any]:
     return document
 
 
-def check_format(path: Path, document: Mapping[str, Any], name: str, version: int) -> None:
-    """Refuse another format, and a version newer than this program knows. Raises `BadInput`."""
+def check_format(
+    path: Path,
+    document: Mapping[str, Any],
+    name: str,
+    version: int,
+    instead: str = "give a file of that format",
+) -> None:
+    """Refuse another format, for which `instead` says what to do, and a version newer than this program knows.
+
+    Raises `BadInput`.
+    """
     if document.get("format") != name:
-        raise BadInput(f"{path} has the format {document.get('format')!r}, {name!r} was expected")
+        raise BadInput(f"{path} has the format {document.get('format')!r}, {name!r} was expected: {instead}")
     found = document.get("version")
     if found != version:
         raise BadInput(

@@ -9,7 +9,7 @@ BT.601 below.
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 from pathlib import Path
@@ -97,9 +97,12 @@ def write_video(
     *,
     frame_rate_hz: float = 25.0,
     encoding: Encoding = "people",
+    told: Mapping[str, str] | None = None,
 ) -> int:
     """Write images as a video, whole or not at all, and give the number of values that were clipped to [0,
     1].
+
+    `told` are texts for the file's own metadata, under keys the container knows (`comment`, `copyright`).
 
     `people` is visually lossless H.264 (crf 14, yuv420p, BT.709) that every player shows; an odd width or
     height is padded by repeating the last column or row. `lossless` keeps the 8-bit codes exactly: FFV1 for
@@ -126,12 +129,22 @@ def write_video(
     try:
         with whole_file(path) as temporary:
             every = itertools.chain([first], pending)
-            clipped = _encode(path, temporary, every, first, frame_rate_hz, encoding)
+            clipped = _encode(path, temporary, every, first, frame_rate_hz, encoding, told or {})
     except av.FFmpegError as error:
         raise UnwritableFile(
             f"cannot write {path}: {error.strerror}; is the disk full? Nothing was changed"
         ) from error
     return clipped
+
+
+def video_texts(path: str | Path) -> dict[str, str]:
+    """Give the texts of a video's own metadata, keys in lower case. Raises `UnreadableFile`."""
+    path = Path(path)
+    try:
+        with av.open(str(path), metadata_errors="replace") as container:
+            return {key.lower(): text for key, text in container.metadata.items()}
+    except (av.FFmpegError, OSError) as error:
+        raise UnreadableFile(f"{path} is not a video: {error.strerror or 'no reason given'}") from error
 
 
 def _decoded(path: Path) -> Iterator[tuple[Any, float]]:
@@ -235,10 +248,12 @@ def _encode(
     first: Image,
     frame_rate_hz: float,
     encoding: Encoding,
+    told: Mapping[str, str],
 ) -> int:
     rate = Fraction(frame_rate_hz).limit_denominator(RATE_DENOMINATOR)
     clipped = 0
     with av.open(str(temporary), "w", options={"fflags": "+bitexact"}) as container:
+        container.metadata.update(told)
         stream = _add_stream(container, path.suffix.lower(), rate, encoding)
         for index, image in enumerate(frames):
             check_image(image, f"{path}, frame {index}")

@@ -1,7 +1,8 @@
 """Measuring mimicry: how close one sequence of loadings comes to another (Nagle section 5.1). Arrays in, arrays out."""
 
 from morphspace.imitation.alignment import Alignment, align
-from morphspace.imitation.comparison import Baseline, Comparison, compare
+from morphspace.imitation.chance import Baseline
+from morphspace.imitation.comparison import Comparison, compare
 from morphspace.imitation.masked import MaskedBasis, masked_basis
 
 __all__ = ["Alignment", "Baseline", "Comparison", "MaskedBasis", "align", "compare", "masked_basis"]

@@ -9,6 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.spatial.distance import cdist
 
 from morphspace.arrays import AnyArray, LoadingTable
 
@@ -85,5 +86,5 @@ def cheapest_path(costs: AnyArray, *, band: float = BAND) -> Alignment:
 
 
 def distances(one: LoadingTable, other: LoadingTable) -> AnyArray:
-    """Give the distance of each row of one from each of the other, (n, m); row by row, so that equal rows give 0."""
-    return np.stack([np.sqrt(((row - other) ** 2).sum(axis=1)) for row in one])
+    """Give the distance of each row of one from each of the other, (n, m); equal rows give exactly 0."""
+    return np.asarray(cdist(one, other))

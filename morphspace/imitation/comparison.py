@@ -2,13 +2,13 @@
 
 Both are rows of loadings in one expression space, one row a frame. Each measure is given for every component and once
 for all together, (k + 1,), the last entry. What the two do (shape), how far they go (distance, gain) and when (lag,
-alignment) are kept apart. Chance is what the same imitation gives when it is turned in time: circular shifts keep the
-smoothness of a motion, which makes two unrelated ones correlate, and break only its tie to the stimulus.
+alignment) are kept apart. Chance is what copies of the same imitation give that are as smooth as it, since smoothness
+makes two unrelated motions correlate, and are not tied to the stimulus (see `chance`).
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,6 +16,15 @@ import numpy as np
 from morphspace.arrays import AnyArray, LoadingTable
 from morphspace.errors import BadInput
 from morphspace.imitation.alignment import Alignment, cheapest_path, distances
+from morphspace.imitation.chance import (
+    Baseline,
+    baseline_of,
+    familywise,
+    in_pieces,
+    of_random_phases,
+    p_values,
+    turned,
+)
 from morphspace.imitation.information import entropy, mutual_information
 from morphspace.imitation.shape import (
     LEAST_FRAMES,
@@ -30,38 +39,17 @@ from morphspace.imitation.shape import (
 )
 from morphspace.progress import Step, Steps
 
-COSTLY_SHIFTS = 199  # at most, for mutual information and alignment; then p is at least 0.005
-TIE_TOL = 1e-9  # of the value: equal scores of two shifts differ by rounding
-CHUNK_NUMBERS = 1_000_000  # of shifted sequences held at a time
-TESTED = (  # the others go along: a turned imitation keeps its mean and size, so cosine ranks as correlation does
-    "correlation",
-    "distance_sd",
-    "correlation_at_lag",
-    "mutual_information_nats",
-    "correlation_aligned",
-    "alignment_cost",
-)
+# What is tested; the rest goes along: a turned imitation keeps its mean and size, so cosine ranks as correlation does.
+BY_SHIFTS = "correlation", "distance_sd", "mutual_information_nats"
+SEARCHED = "correlation_at_lag", "correlation_aligned", "alignment_cost"
 SMALLER_IS_CLOSER = ("distance_sd", "alignment_cost")
-
-
-@dataclass(frozen=True, eq=False)
-class Baseline:
-    """Which circular shifts of the imitation (frames) stand for chance; `costly` are those of the slow measures.
-
-    `is_exhaustive` tells whether `shifts` are all there are.
-    """
-
-    shifts: AnyArray
-    costly: AnyArray
-    is_exhaustive: bool
 
 
 @dataclass(frozen=True, eq=False)
 class Comparison:
     """What `compare` found: `measures`, name to (k + 1,) with all components together last, NaN where undefined.
 
-    `curve` is the correlation of all together at each of `lags` (frames); `chance` the correlation (shifts,) of all
-    together at each shift of the baseline.
+    `curve` is the correlation of all together at each of `lags` (frames).
     """
 
     measures: Mapping[str, AnyArray]
@@ -69,7 +57,6 @@ class Comparison:
     curve: AnyArray
     alignment: Alignment
     baseline: Baseline
-    chance: AnyArray
 
 
 def compare(
@@ -78,46 +65,63 @@ def compare(
     """Compare two sequences of loadings in SD, (n, k) and (m, k); `sd` (k,) makes them plain loadings.
 
     What needs frames in pairs is taken over the frames both have; lag and alignment see both whole. All together are
-    weighed as they show in the face: in plain loadings. p is one-sided: how often chance is as close or closer. The p
-    of a lag and of an alignment allow for the search, as each shift is searched in the same way. Raises `BadInput`.
+    weighed as they show in the face: in plain loadings. p is one-sided: how often chance is as close or closer. Chance
+    is the imitation turned in time for what is taken in pairs; for lag and alignment, which search, it is copies of
+    random phases and copies in pieces, each searched in the same way. Raises `BadInput`.
     """
     check_sequences(stimulus_sd, imitation_sd)
-    baseline = circular_shifts(len(imitation_sd), permutations, seed)
-    total = len(baseline.shifts) + len(baseline.costly)
-    lags, curves = lag_curves(stimulus_sd * sd, imitation_sd[None] * sd)
-    lag_frames, _ = peak(curves[0], lags)
-    measures = {name: values[0] for name, values in _quick(stimulus_sd, imitation_sd[None], sd).items()}
-    costs = distances(standardised(stimulus_sd * sd), standardised(imitation_sd * sd))
-    best = cheapest_path(costs)
-    measures |= _slow(stimulus_sd, imitation_sd, sd, best)
-    chance: dict[str, list[AnyArray]] = {name: [] for name in measures}
+    baseline = baseline_of(len(imitation_sd), permutations, seed)
+    stimulus, imitation = stimulus_sd * sd, imitation_sd * sd
+    lags, curves = lag_curves(stimulus, imitation[None])
+    lag_frames, at_lag = peak(curves[0], lags)
+    shape = standardised(stimulus)
+    best = cheapest_path(distances(shape, standardised(imitation)))
+    measures = {name: values[0] for name, values in _in_pairs(stimulus_sd, imitation_sd[None], sd).items()}
+    measures |= {"correlation_at_lag": at_lag, **_aligned(stimulus, imitation, best)}
+    measures["mutual_information_nats"] = _shared(stimulus_sd, imitation_sd)
+    total = len(baseline.shifts) + len(baseline.costly) + 2 * (baseline.copies + baseline.costly_copies)
     done = 0
-    for turned in _turned(imitation_sd, baseline.shifts):
-        for name, values in _quick(stimulus_sd, turned, sd).items():
-            chance[name].extend(values)
-        done += len(turned)
+    by_shifts: dict[str, list[AnyArray]] = {name: [] for name in BY_SHIFTS}
+    for some in turned(imitation_sd, baseline.shifts):
+        found = _in_pairs(stimulus_sd, some, sd)
+        for name in ("correlation", "distance_sd"):
+            by_shifts[name].extend(found[name])
+        done += len(some)
         yield Step("chance", done, total)
     for shift in baseline.costly:
-        turned = np.roll(imitation_sd, shift, axis=0)
-        path = cheapest_path(np.roll(costs, shift, axis=1))
-        for name, value in _slow(stimulus_sd, turned, sd, path).items():
-            chance[name].append(value)
+        by_shifts["mutual_information_nats"].append(
+            _shared(stimulus_sd, np.roll(imitation_sd, shift, axis=0))
+        )
         done += 1
         yield Step("chance", done, total)
-    nulls = {name: np.array(values).reshape(-1, len(sd) + 1) for name, values in chance.items()}
-    tests = {
-        f"{name}_p": p_values(measures[name], null, name in SMALLER_IS_CLOSER)
-        for name, null in nulls.items()
-        if name in TESTED
-    }
-    tests["correlation_p_familywise"] = familywise(measures["correlation"], nulls["correlation"])
+    kinds = [by_shifts]
+    for copies_of in (of_random_phases, in_pieces):
+        of_kind: dict[str, list[AnyArray]] = {name: [] for name in SEARCHED}
+        for some in copies_of(imitation, baseline.copies, seed):
+            of_kind["correlation_at_lag"] += [peak(curve, lags)[1] for curve in lag_curves(stimulus, some)[1]]
+            done += len(some)
+            yield Step("chance", done, total)
+            for copy in some[: baseline.costly_copies - len(of_kind["alignment_cost"])]:
+                path = cheapest_path(distances(shape, standardised(copy)))
+                for name, value in _aligned(stimulus, copy, path).items():
+                    of_kind[name].append(value)
+                done += 1
+                yield Step("chance", done, total)
+        kinds.append(of_kind)
+    tests: dict[str, AnyArray] = {}
+    for chance in kinds:
+        for name, values in chance.items():
+            null = np.array(values).reshape(-1, len(sd) + 1)
+            p = p_values(measures[name], null, name in SMALLER_IS_CLOSER)
+            tests[f"{name}_p"] = np.maximum(tests.get(f"{name}_p", p), p)
+    turned_correlation = np.array(by_shifts["correlation"]).reshape(-1, len(sd) + 1)
+    tests["correlation_p_familywise"] = familywise(measures["correlation"], turned_correlation)
     n = min(len(stimulus_sd), len(imitation_sd))
     told = {"lag_frames": lag_frames}
     for name, sequence in (("stimulus", stimulus_sd[:n]), ("imitation", imitation_sd[:n])):
         each = np.array([entropy(column) for column in sequence.T])
         told[f"entropy_{name}_nats"] = np.append(each, _sum_of_defined(each))
-    together = nulls["correlation"][:, -1]
-    return Comparison({**measures, **tests, **told}, lags, curves[0, :, -1], best, baseline, together)
+    return Comparison({**measures, **tests, **told}, lags, curves[0, :, -1], best, baseline)
 
 
 def check_sequences(stimulus: LoadingTable, imitation: LoadingTable) -> None:
@@ -143,53 +147,14 @@ def check_sequences(stimulus: LoadingTable, imitation: LoadingTable) -> None:
         )
 
 
-def circular_shifts(frames: int, permutations: int, seed: int) -> Baseline:
-    """Choose circular shifts of a sequence, 1 to frames - 1: all of them, or so many drawn by the seed."""
-    every = np.arange(1, frames)
-    rng = np.random.default_rng(seed)
-    shifts = every
-    if len(every) > permutations:
-        shifts = np.sort(rng.choice(every, permutations, replace=False))
-    costly = shifts
-    if len(shifts) > COSTLY_SHIFTS:
-        costly = np.sort(rng.choice(shifts, COSTLY_SHIFTS, replace=False))
-    return Baseline(shifts, costly, len(shifts) == len(every))
-
-
-def p_values(observed: AnyArray, null: AnyArray, smaller_is_closer: bool | np.bool_ = False) -> AnyArray:
-    """Give how often chance (shifts, ...) is as close as observed (...) or closer, itself counted in.
-
-    (1 + count) / (1 + shifts): never 0 (Phipson and Smyth 2010). NaN where there is nothing to compare.
-    """
-    sign = -1.0 if smaller_is_closer else 1.0
-    known = np.isfinite(null)
-    slack = TIE_TOL * (1 + np.abs(observed))
-    with np.errstate(invalid="ignore"):
-        reached = (sign * null >= sign * observed - slack) & known
-    p = (1 + reached.sum(axis=0)) / (1 + known.sum(axis=0))
-    return np.where(np.isfinite(observed) & known.any(axis=0), p, np.nan)
-
-
-def familywise(observed: AnyArray, null: AnyArray) -> AnyArray:
-    """Give p (k + 1,) with all components tested at once: against the best component of each shift.
-
-    Westfall and Young (1993), single step. The last entry, all together, is one test and NaN here.
-    """
-    known = np.isfinite(null[:, :-1])
-    best = np.where(known, null[:, :-1], -np.inf).max(axis=1, initial=-np.inf)
-    best = np.where(np.isfinite(best), best, np.nan)
-    return np.append(p_values(observed[:-1], np.repeat(best[:, None], len(observed) - 1, axis=1)), np.nan)
-
-
-def _quick(stimulus_sd: LoadingTable, imitations_sd: AnyArray, sd: AnyArray) -> dict[str, AnyArray]:
-    """Give the measures of frames in pairs for imitations (shifts, m, k), name to (shifts, k + 1)."""
+def _in_pairs(stimulus_sd: LoadingTable, imitations_sd: AnyArray, sd: AnyArray) -> dict[str, AnyArray]:
+    """Give the measures of frames in pairs for imitations (copies, m, k), name to (copies, k + 1)."""
     n = min(len(stimulus_sd), imitations_sd.shape[1])
     a_sd, b_sd = stimulus_sd[:n], imitations_sd[:, :n]
     a, b = a_sd * sd, b_sd * sd
     along = with_total((a * b).sum(axis=-2))
     sizes = with_total((a * a).sum(axis=-2)) * with_total((b * b).sum(axis=-2))
     shape_a, shape_b = centred(a), centred(b)
-    lags, curves = lag_curves(stimulus_sd * sd, imitations_sd * sd)
     return {
         "correlation": similarity(a, b),
         "cosine": np.clip(ratio(along, np.sqrt(sizes)), -1, 1),
@@ -200,7 +165,6 @@ def _quick(stimulus_sd: LoadingTable, imitations_sd: AnyArray, sd: AnyArray) -> 
             with_total((shape_a * shape_b).sum(axis=-2)),
             np.broadcast_to(with_total((shape_a * shape_a).sum(axis=-2)), along.shape),
         ),
-        "correlation_at_lag": np.array([peak(curve, lags)[1] for curve in curves]),
     }
 
 
@@ -208,32 +172,24 @@ def _rms(difference: AnyArray) -> AnyArray:
     return np.sqrt(with_total((difference * difference).mean(axis=-2)))
 
 
-def _slow(
-    stimulus_sd: LoadingTable, imitation_sd: LoadingTable, sd: AnyArray, best: Alignment
-) -> dict[str, AnyArray]:
-    """Give mutual information and what alignment leaves, name to (k + 1,)."""
+def _shared(stimulus_sd: LoadingTable, imitation_sd: LoadingTable) -> AnyArray:
+    """Give the mutual information (k + 1,) of frames in pairs."""
     n = min(len(stimulus_sd), len(imitation_sd))
     each = np.array(
         [mutual_information(x, y) for x, y in zip(stimulus_sd[:n].T, imitation_sd[:n].T, strict=True)]
     )
-    a, b = stimulus_sd * sd, imitation_sd * sd
-    moving = varies(a).any() and varies(b).any()
+    return np.append(each, _sum_of_defined(each))
+
+
+def _aligned(stimulus: LoadingTable, imitation: LoadingTable, best: Alignment) -> dict[str, AnyArray]:
+    """Give what alignment leaves of plain loadings, name to (k + 1,)."""
+    moving = varies(stimulus).any() and varies(imitation).any()
     cost = best.cost / len(best.path) if moving else np.nan
-    nothing = np.full(len(each), np.nan)
     return {
-        "mutual_information_nats": np.append(each, _sum_of_defined(each)),
-        "correlation_aligned": similarity(a[best.path[:, 0]], b[best.path[:, 1]]),
-        "alignment_cost": np.append(nothing, cost),
+        "correlation_aligned": similarity(stimulus[best.path[:, 0]], imitation[best.path[:, 1]]),
+        "alignment_cost": np.append(np.full(stimulus.shape[1], np.nan), cost),
     }
 
 
 def _sum_of_defined(each: AnyArray) -> float:
     return float(np.nansum(each)) if np.isfinite(each).any() else float("nan")
-
-
-def _turned(sequence: LoadingTable, shifts: AnyArray) -> Iterator[AnyArray]:
-    """Give the sequence (m, k) turned by each shift, some at a time, (some, m, k)."""
-    some = max(1, CHUNK_NUMBERS // max(sequence.size, 1))
-    places = np.arange(len(sequence))
-    for start in range(0, len(shifts), some):
-        yield sequence[(places - shifts[start : start + some, None]) % len(sequence)]

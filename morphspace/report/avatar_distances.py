@@ -22,22 +22,24 @@ class MeanDistances:
     """Distances between k people and their blend, which comes last; both (k + 1, k + 1), symmetric, 0 with themselves.
 
     `shape_percent` rms distance of landmarks in % of the distance between the eyes, size, place and tilt taken out;
-    None where a model does not know its landmarks | `colour_percent` rms difference of colour inside the blend's mask,
-    in % of white, the mean faces laid on the blend's faceframe.
+    None where a model does not know its landmarks | `colour_percent` rms difference of colour inside the face that all
+    share, in % of white, the mean faces laid on the blend's faceframe.
     """
 
     shape_percent: AnyArray | None
     colour_percent: AnyArray
 
 
-def mean_face_distances(models: Sequence[MorphModel], avatar: MorphModel) -> MeanDistances:
-    """Compare the mean faces of k `models` and of their blend. Ours.
+def mean_face_distances(models: Sequence[MorphModel], avatar: MorphModel, shared: AnyArray) -> MeanDistances:
+    """Compare the mean faces of k `models` and of their blend; colours where all `shared` (h, w), bool, the face. Ours.
+
+    Hair, ears and background are the surround's owner's: with them, that person would always be nearest to the blend.
 
     Raises `BadInput` where one has no faceframe.
     """
     everyone = [*models, avatar]
     laid = [_laid_on(model, avatar) for model in models] + [np.clip(avatar.mean.render(), 0, 1)]
-    inside = avatar.mask / max(float(avatar.mask.sum(dtype=np.float64)), 1e-12)
+    inside = shared / max(int(shared.sum()), 1)
     colour = _table(laid, partial(_colour_percent, inside=inside))
     shapes = _shapes(everyone)
     return MeanDistances(None if shapes is None else _table(shapes, shape_percent), colour)

@@ -52,6 +52,7 @@ def avatar_page(shown: AvatarShown) -> str:
         element("p", text(kicker), class_="kicker"),
         _figures(shown),
         notes_section(shown.notes),
+        _whose(shown),
         _sheet(shown),
         _large(shown),
         avatar_tables.identities_section(shown),
@@ -81,6 +82,20 @@ def _figures(shown: AvatarShown) -> Html:
         (variance, f"of variance explained by {shown.model.rank} components"),
     ]
     return key_figures(entries)
+
+
+def _whose(shown: AvatarShown) -> Html:
+    """Say what of the pictures is one person's alone."""
+    inside = "Glasses and beard inside the face are those of the sources who have them, fainter the less their weight."
+    if shown.surround in shown.identities:
+        words = (
+            f"{shown.surround}'s alone, at any weight. People know a person by hair, ears and the outline of the head "
+            f"too, so that to the eye the blend is nearer to {shown.surround} than the weights say. --surround flat puts "
+            f"grey there, --surround NAME another person's. {inside}"
+        )
+    else:
+        words = f"Nobody's: what surrounds the face is flat grey. {inside}"
+    return section("surround", "Hair, ears, neck and background", sentence(words))
 
 
 def _sheet(shown: AvatarShown) -> Html:

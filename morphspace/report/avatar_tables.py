@@ -74,7 +74,7 @@ def _distances(shown: AvatarShown, distances: MeanDistances) -> list[Html]:
     if distances.shape_percent is None:
         parts.append(sentence("Shapes are not compared: a model does not know its landmarks."))
     shape = "Shape of the mean faces: rms distance of landmarks, in % of the distance between the eyes, size and tilt"
-    colour = "Colour of the mean faces: rms difference inside the blend's mask, in % of white"
+    colour = "Colour of the mean faces: rms difference where all have face and nobody has hair, in % of white"
     tables = (
         (f"{shape} taken out.", distances.shape_percent),
         (f"{colour}, laid on the blend's faceframe.", distances.colour_percent),

@@ -262,21 +262,30 @@ def _reading(shown: MeasuredImitation) -> Html:
     baseline = shown.comparison.baseline
     count, costly = len(baseline.shifts), len(baseline.costly)
     some = "all there are" if baseline.is_exhaustive else "a sample by the seed"
+    least = {name: f"{value:.2g}" for name, value in baseline.least.items()}
     return section(
         "reading",
         "How to read the figures",
         sentence(
             f"Chance is the imitation turned in time, its end put before its beginning: {count} circular shifts "
-            f"({some}), {costly} of them for mutual information and alignment. A turned motion is as smooth as the "
+            f"({some}), {costly} of them for mutual information. A turned motion is as smooth as the "
             "true one, so the smoothness which makes any two motions correlate is allowed for. Each p is one-sided "
-            f"and can be no smaller than {1 / (count + 1):.2g}. 'p of r, all tested' tests all components at once. A "
-            "motion that repeats itself comes close at other shifts too, and its p stays large."
+            f"and can be no smaller than {least['frame_by_frame']} ({least['information']} for information). 'p of r, "
+            "all tested' tests all components at once. A motion that repeats itself comes close at other shifts too, "
+            "and its p stays large."
         ),
         sentence(
-            "The p of r asks how often a turned imitation correlates as highly where it stands; the p of r at best "
-            "lag lets each turned imitation look for its own best lag first, as the true one did. So the second may "
-            "well be the larger although its r is higher: a search finds something in any motion. A stimulus and an "
-            "imitation that is merely late have a large p of r and a small p of r at best lag."
+            "At the best lag and after alignment chance is something else, since a search undoes a shift: "
+            f"{baseline.copies} copies of the imitation with the same spectrum and random phases, and as many cut in "
+            f"pieces that are put together in another order; {baseline.costly_copies} of each for alignment. Every "
+            "copy looks for its own best lag, or is aligned, as the true imitation was. The larger p of the two kinds "
+            f"counts, and it can be no smaller than {least['lag']} ({least['alignment']} after alignment)."
+        ),
+        sentence(
+            "So the p of r asks whether the imitation does the same at the same time, the p of r at best lag whether "
+            "it does the same at some time. An imitation that is merely late has a small p of r at best lag, while its "
+            "p of r may be large. Where a clip holds no more than one event, such as one smile, any other clip with "
+            "one like it does the same at some time: look at the lag too, and take longer clips."
         ),
         sentence(
             "All components together are weighed by how much of the face they move and colour. Information and entropy "

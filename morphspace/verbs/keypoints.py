@@ -12,10 +12,12 @@ import numpy as np
 
 from morphspace.arrays import Image, Points
 from morphspace.errors import BadInput
+from morphspace.facepoints import LEFT_LIDS, RIGHT_LIDS, UPPER_LIP_BOTTOM
 from morphspace.faces import FaceFrame
 from morphspace.files.images import write_image
 from morphspace.files.templates import LipName, YAxis, read_marked_points
 from morphspace.keypoints import (
+    TURN_UPRIGHT,
     WIDE_SPREAD,
     FaceDetector,
     checked_faceframe,
@@ -24,7 +26,7 @@ from morphspace.keypoints import (
     lip_of,
     picture_to_mean,
 )
-from morphspace.landmarks import LEAST_FACES, LandmarkRegression
+from morphspace.landmarks import LANDMARKS, LEAST_FACES, LandmarkRegression
 from morphspace.model import MorphModel, load_model
 from morphspace.modelfile import check_content
 from morphspace.progress import Steps
@@ -32,6 +34,7 @@ from morphspace.storage import digest_of_file
 from morphspace.verbs.outcome import Outcome, check_file
 
 PICTURE_SIDE_PX = 480  # the drawn mean is enlarged by whole numbers up to it
+FAR = 0.5  # eye distances from the landmarks; points that mark the same face lie within a quarter
 MARKS = (("R", (215, 40, 40)), ("L", (30, 90, 230)), ("P", (20, 130, 60)))  # letter and colour
 WHITE = (255, 255, 255)
 Marked = Literal["mean", "reference"]
@@ -108,7 +111,8 @@ def run(request: KeypointsRequest, detector: FaceDetector | None = None) -> Step
         "origin": dict(found.origin),
         "landmarks": None if changed.landmarks is None else changed.landmarks.document(),
     }
-    return Outcome(lines, document, found.notes, (output, picture))
+    notes = found.notes if request.automatic else (*found.notes, *_far_notes(changed))
+    return Outcome(lines, document, notes, (output, picture))
 
 
 def _check(request: KeypointsRequest) -> None:
@@ -157,7 +161,7 @@ def _detected(model: MorphModel, detector: FaceDetector) -> Steps[Found]:
         if found.found <= LEAST_FACES:
             notes += (
                 f"a face was found in {found.found} faces of the model, too few to learn where its landmarks lie: "
-                "`mimic --method guided` will not work with it",
+                "`mimic --method guided` will not work with it; build it from more frames",
             )
         return Found(found.faceframe, found.origin, (said,), notes)
     taught = f"landmarks learned from {learned.faces} faces; {told_errors(learned)}"
@@ -165,7 +169,7 @@ def _detected(model: MorphModel, detector: FaceDetector) -> Steps[Found]:
 
 
 def _given(model: MorphModel, request: KeypointsRequest) -> Found:
-    faceframe, notes = _on_mean(model, np.array(request.points, np.float64), request.on, "--set")
+    faceframe, notes = _on_mean(model, np.array(request.points, np.float64), request.on, "--set", None)
     origin = {"source": "set", "lip": request.lip or "philtrum", "on": request.on}
     return Found(faceframe, origin, (), notes)
 
@@ -173,7 +177,8 @@ def _given(model: MorphModel, request: KeypointsRequest) -> Found:
 def _read(model: MorphModel, path: Path, request: KeypointsRequest) -> Found:
     height = framing_of(model).source_size[1] if request.on == "reference" else model.size[1]
     marked = read_marked_points(path, height, lip=request.lip, y_axis=request.y_axis)
-    faceframe, notes = _on_mean(model, marked.points, request.on, str(path))
+    turned = _turned_words(path, height, request, marked.points)
+    faceframe, notes = _on_mean(model, marked.points, request.on, str(path), turned)
     origin = {
         "source": "file",
         "file": path.name,
@@ -185,18 +190,62 @@ def _read(model: MorphModel, path: Path, request: KeypointsRequest) -> Found:
     return Found(faceframe, origin, (f"read as {marked.scheme}",), marked.notes + notes)
 
 
-def _on_mean(model: MorphModel, points: Points, on: Marked, name: str) -> tuple[FaceFrame, tuple[str, ...]]:
-    """Check marked points (3, 2) px and carry them to the mean face; `name` is where they came from, for errors."""
+def _turned_words(path: Path, height: int, request: KeypointsRequest, points: Points) -> str | None:
+    """Say how to count y in the file the other way, where its face would then stand upright in the picture."""
+    is_turned = request.y_axis == "up"
+    other: YAxis = "auto" if is_turned else "up"
+    x = read_marked_points(path, height, lip=request.lip, y_axis=other).points
+    if np.array_equal(x, points):
+        return None
+    if (x[:, 1] < -0.5).any() or (x[:, 1] > height - 0.5).any() or x[2, 1] <= x[:2, 1].max():
+        return None
+    return "leave out --negate-y" if is_turned else "give --negate-y"
+
+
+def _on_mean(
+    model: MorphModel, points: Points, on: Marked, name: str, turned: str | None
+) -> tuple[FaceFrame, tuple[str, ...]]:
+    """Check marked points (3, 2) px and carry them to the mean face; `name` is where they came from, for errors, and
+    `turned` is what would turn their y round, None where that would not help.
+    """
+    pictured = "points in the pixels of the picture the model was built from"
     if on == "reference":
         width, height = framing_of(model).source_size
         for x, y in points.tolist():
             if not (-0.5 <= x <= width - 0.5 and -0.5 <= y <= height - 0.5):
                 raise BadInput(
-                    f"{name}: {x:.1f},{y:.1f} lies outside the reference frame's picture of {width}x{height} px: give "
-                    "points in the pixels of the picture the model was built from"
+                    f"{name}: {x:.1f},{y:.1f} lies outside the reference frame's picture of {width}x{height} px: "
+                    f"{turned or f'give {pictured}'}"
                 )
         points = picture_to_mean(model, points)
-    return checked_faceframe(points, model.size, name)
+        outside = f"give {pictured}, inside what was cropped from it"
+    else:
+        outside = "give points in its pixels, or --on reference for points marked on the reference frame's own picture"
+    return checked_faceframe(
+        points, model.size, name, if_outside=turned or outside, if_upside_down=turned or TURN_UPRIGHT
+    )
+
+
+def _far_notes(model: MorphModel) -> tuple[str, ...]:
+    """Say where a keypoint lies far from where the model's landmarks have it: the two then contradict each other."""
+    if model.landmarks is None or model.faceframe is None:
+        return ()
+    lip = (
+        0 if lip_of(model) == "philtrum" else UPPER_LIP_BOTTOM
+    )  # of the mesh; 0 is the bow, just below the philtrum
+    places = [[LANDMARKS.index(place) for place in group] for group in (RIGHT_LIDS, LEFT_LIDS, (lip,))]
+    learned = np.array([model.landmarks.mean[rows].mean(axis=0) for rows in places])
+    eyes_px = float(np.hypot(*(learned[1] - learned[0])))
+    apart = np.hypot(*(model.faceframe.points - learned).T) / eyes_px
+    if apart.max() <= FAR:
+        return ()
+    far = int(apart.argmax())
+    x, y = learned[far].tolist()
+    return (
+        f"the {point_names(model)[far]} lies {apart[far]:.1f} eye distances from {x:.1f},{y:.1f}, where the model's "
+        "landmarks have it, and `mimic --method guided`, which goes by both, would go wrong: look at the picture, and "
+        "set the points again or find both anew with --auto",
+    )
 
 
 def _shown(path: Path, model: MorphModel) -> Outcome:

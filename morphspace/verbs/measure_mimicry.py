@@ -8,13 +8,15 @@ is.
 from __future__ import annotations
 
 from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 
 import cv2
 import numpy as np
 
-from morphspace.arrays import AnyArray, Image, LoadingTable
+from morphspace.arrays import Image, LoadingTable
+from morphspace.detection import Detector
 from morphspace.errors import BadInput
 from morphspace.files.tables import write_loadings_table
 from morphspace.files.video import write_video
@@ -24,7 +26,9 @@ from morphspace.progress import Step, Steps
 from morphspace.report.imitation_page import MeasuredImitation, imitation_page
 from morphspace.storage import digest_of_file, write_text
 from morphspace.verbs.encoding import check_components, components_used
+from morphspace.verbs.faces_seen import FacesSeen, look_for_faces
 from morphspace.verbs.imitators import METHOD, imitator_of
+from morphspace.verbs.measure_advice import chance_words, mean_apart, size_words, strange_words
 from morphspace.verbs.measures_table import (
     component_names,
     reasons_of,
@@ -33,18 +37,32 @@ from morphspace.verbs.measures_table import (
     still_words,
     write_measures,
 )
+from morphspace.verbs.mimic_folder import VIDEO_NAME, check_ours, no_empty_folders
+from morphspace.verbs.mimic_sources import own_detector
 from morphspace.verbs.motions import Motion, Region, at_rate_of, measured, opened, part_of, share_of
-from morphspace.verbs.outcome import Outcome, check_file, check_folder, versions, write_record
-from morphspace.verbs.render import FRAME_RATE_HZ, check_reach, rendered
+from morphspace.verbs.outcome import RECORD_NAME, Outcome, check_file, check_folder, versions, write_record
+from morphspace.verbs.render import FRAME_RATE_HZ, rendered
+from morphspace.verbs.table_checks import check_reach
 
+VERB = "measure-mimicry"
+WORK_FOLDER = (
+    f"{VERB}.work"  # there while files are written: a folder that a stopped run leaves is known by it
+)
+WRITTEN = (
+    "measures.csv",
+    "measures.json",
+    "stimulus.csv",
+    "stimulus.json",
+    "imitation.csv",
+    "imitation.json",
+    VIDEO_NAME,
+    "index.html",
+    RECORD_NAME,
+)
+ROLES = "stimulus", "imitation"
+UNSHOWN = "notes", "mask", "region", "outside_space", "still", "frames_without_face", "least_p"  # as settings
 PAIRS_SHOWN = 8
 GAP_PX = 4  # between the panels of the video
-MOVED_SD = (
-    2.0  # means farther apart than this tell of another face, light or camera, not of another expression
-)
-HARDLY = 0.05  # of the other's motion, root mean square
-SAME = 0.999  # a correlation with nothing left to find by a lag
-SURE_P = 0.05  # where chance has too few shifts to go below it, the reader must know
 
 
 @dataclass(frozen=True)
@@ -68,15 +86,37 @@ class MeasureMimicryRequest:
     imitator: Path | None = None
 
 
-def run(request: MeasureMimicryRequest) -> Steps[Outcome]:
-    """Write measures.csv, the loadings of both, a video side by side and index.html. Returns an `Outcome`."""
+def run(request: MeasureMimicryRequest, detector: Detector | None = None) -> Steps[Outcome]:
+    """Write measures.csv, the loadings of both, a video side by side and index.html. Returns an `Outcome`.
+
+    Its document has `no_face`, the number of frames in which no face was found. `detector` None takes the package's
+    own, where its files have been fetched.
+    """
     model = load_model(request.model)
     _check_request(request, model)
     folder = request.output or Path(f"{Path(request.imitation).stem or 'clip'}-mimicry")
     kept = [Path(given) for given in (request.stimulus, request.imitation)]
-    for name in ("measures.csv", "stimulus.csv", "imitation.csv"):
-        check_file(folder / name, ".csv", kept)
-    check_file(folder / "side-by-side.mp4", ".mp4", kept)
+    for name in WRITTEN:
+        check_file(folder / name, Path(name).suffix, kept)
+    check_ours(folder, VERB, WRITTEN)
+    with no_empty_folders(folder, ()), _mark_of(folder):
+        return (yield from _steps(request, model, folder, detector or own_detector()))
+
+
+@contextmanager
+def _mark_of(folder: Path) -> Iterator[None]:
+    """Take away, however the block ends, the mark of a run that was begun, unless it left something of ours here."""
+    try:
+        yield
+    finally:
+        if not any((folder / name).exists() for name in WRITTEN):
+            with suppress(FileNotFoundError):
+                (folder / WORK_FOLDER).rmdir()
+
+
+def _steps(
+    request: MeasureMimicryRequest, model: MorphModel, folder: Path, detector: Detector | None
+) -> Steps[Outcome]:
     share_seen = share_of(model, request.mask, request.region)
     part = part_of(model, share_seen)
     imitator = None if request.imitator is None else imitator_of(request.imitator, model, share_seen)
@@ -90,6 +130,10 @@ def run(request: MeasureMimicryRequest) -> Steps[Outcome]:
     k, rank_notes = components_used(request.components, known, what)
     notes += rank_notes
     check_folder(folder)
+    faces: dict[str, FacesSeen] = {}
+    for role, source in zip(ROLES, sources, strict=True):
+        reader = source.imitator.model if source.imitator else model
+        faces[role] = yield from look_for_faces(role, source, reader.mean.render(), reader.identity, detector)
     stimulus = yield from measured(sources[0], model, part)
     imitation = yield from measured(sources[1], model, part)
     imitation = at_rate_of(stimulus, imitation, notes)
@@ -98,16 +142,21 @@ def run(request: MeasureMimicryRequest) -> Steps[Outcome]:
         a_sd, b_sd, model.sd[:k], permutations=request.permutations, seed=request.seed
     )
     still = still_words(a_sd, b_sd)
-    notes[:0] = _strange_words(stimulus, imitation, model)
-    notes += still_components_words(a_sd, b_sd) + _size_words(a_sd * model.sd[:k], b_sd * model.sd[:k])
-    moved = _mean_apart(a_sd, b_sd, imitation, notes)
+    unseen = [note for seen in faces.values() for note in seen.notes]
+    faceless = sum(seen.count for seen in faces.values())
+    notes[:0] = [*(unseen if faceless else ()), *strange_words(stimulus, imitation, model)]
+    notes += still_components_words(a_sd, b_sd) + size_words(a_sd * model.sd[:k], b_sd * model.sd[:k])
+    moved = mean_apart(a_sd, b_sd, imitation, notes)
     if not still:
-        _note_chance(comparison, request, notes)
+        notes += chance_words(comparison)
+    if not faceless:
+        notes += unseen
     rate_hz = stimulus.rate_hz or imitation.rate_hz
     drawn_sd = b_sd + moved
     for values, source in ((a_sd, stimulus), (drawn_sd, imitation)):
         check_reach(values, source.frame_names, Path(source.name))
-    video = folder / "side-by-side.mp4"
+    check_folder(folder / WORK_FOLDER)
+    video = folder / VIDEO_NAME
     panels, pairs = yield from _drawn(model, stimulus, imitation, a_sd, drawn_sd, rate_hz, video)
     if moved.any():
         panels = (*panels, "the imitation is drawn about the stimulus' mean")
@@ -134,9 +183,15 @@ def run(request: MeasureMimicryRequest) -> Steps[Outcome]:
         "imitation_frames": len(b_sd),
         "paired_frames": min(len(a_sd), len(b_sd)),
         "shifts": len(comparison.baseline.shifts),
-        "shifts_of_information_and_alignment": len(comparison.baseline.costly),
+        "shifts_of_information": len(comparison.baseline.costly),
         "shifts_are_all_there_are": comparison.baseline.is_exhaustive,
+        "copies_of_lag": comparison.baseline.copies,
+        "copies_of_alignment": comparison.baseline.costly_copies,
+        "least_p": comparison.baseline.least,
         "outside_space": {"stimulus": stimulus.outside, "imitation": imitation.outside},
+        "frames_without_face": {
+            role: None if seen.without is None else list(seen.without) for role, seen in faces.items()
+        },
         "still": still_names(a_sd, b_sd),
         "notes": notes,
         **settings,
@@ -185,8 +240,9 @@ def run(request: MeasureMimicryRequest) -> Steps[Outcome]:
     for role, source in (("stimulus", stimulus), ("imitation", imitation)):
         inputs |= {f"{role}/{name}": digest for name, digest in source.inputs.items()}
     written.append(page)
-    written.append(write_record(folder, "measure-mimicry", settings, inputs, written))
-    return _outcome(folder, comparison, told, still, notes, written)
+    written.append(write_record(folder, VERB, settings, inputs, written))
+    (folder / WORK_FOLDER).rmdir()
+    return _outcome(folder, comparison, {"no_face": faceless, **told}, still, notes, written)
 
 
 def _check_request(request: MeasureMimicryRequest, model: MorphModel) -> None:
@@ -199,74 +255,6 @@ def _check_request(request: MeasureMimicryRequest, model: MorphModel) -> None:
         raise BadInput(f"{request.permutations} permutations cannot be drawn: give 0 or more")
     if request.mask is not None and request.region != "whole":
         raise BadInput(f"both the mask {request.mask} and the region {request.region} were given: choose one")
-
-
-def _mean_apart(a_sd: LoadingTable, b_sd: LoadingTable, imitation: Motion, notes: list[str]) -> AnyArray:
-    """Give what brings the imitation's mean to the stimulus' (k,), or zeros where they are close; say so if not."""
-    apart = a_sd.mean(axis=0) - b_sd.mean(axis=0)
-    farthest = int(np.abs(apart).argmax())
-    if abs(apart[farthest]) <= MOVED_SD:
-        return np.zeros_like(apart)
-    why = "another face, light or camera"
-    if imitation.imitator is not None:
-        why = "what is neutral differs between the two models, or the imitation holds mostly one expression"
-    notes.append(
-        f"the imitation lies {abs(apart[farthest]):.1f} SD from the stimulus on average (pc{farthest + 1:03d}): {why}; "
-        "distances hold that offset, distance_centred_sd and correlations do not, and it is drawn without it"
-    )
-    return np.asarray(apart)
-
-
-def _strange_words(stimulus: Motion, imitation: Motion, model: MorphModel) -> list[str]:
-    """Say of each clip that is evidently not of the model's person, camera and light, what to do about it."""
-    words = []
-    for role, source, cure in (
-        ("stimulus", stimulus, "give the stimulus' own model as --model"),
-        (
-            "imitation",
-            imitation,
-            "build a model of who imitates, give it keypoints (morphspace keypoints), and name it with --imitator",
-        ),
-    ):
-        if source.is_strange:
-            words.append(
-                f"the {role} {source.name} is evidently of another person, day or camera than {model.identity}: its "
-                f"frames lie {source.outside:.1f} times the model's variance outside its space (about 0.2 where they "
-                f"do not), so that the figures tell of the face more than of its motion; {cure}"
-            )
-    return words
-
-
-def _size_words(stimulus: LoadingTable, imitation: LoadingTable) -> list[str]:
-    """Say of plain loadings (n, k), (m, k) where one hardly moves beside the other."""
-    sizes = {
-        role: float(np.sqrt(values.var(axis=0).sum()))
-        for role, values in (("stimulus", stimulus), ("imitation", imitation))
-    }
-    return [
-        f"the {role} hardly moves, {100 * size / sizes[other]:.1f} % of the {other}'s motion: what correlates with it "
-        "may be noise"
-        for role, size, other in (
-            ("stimulus", sizes["stimulus"], "imitation"),
-            ("imitation", sizes["imitation"], "stimulus"),
-        )
-        if 0 < size < HARDLY * sizes[other]
-    ]
-
-
-def _note_chance(comparison: Comparison, request: MeasureMimicryRequest, notes: list[str]) -> None:
-    least = 1 / (1 + len(comparison.baseline.shifts))
-    if least > SURE_P:
-        why = "more frames" if comparison.baseline.is_exhaustive else "more permutations"
-        notes.append(
-            f"with {len(comparison.baseline.shifts)} circular shifts no p can be below {least:.2g}: {why} are needed "
-            "for a test"
-        )
-    lag = comparison.measures["lag_frames"][-1]
-    if lag in (comparison.lags[0], comparison.lags[-1]) and comparison.measures["correlation"][-1] < SAME:
-        notes.append(
-            f"the best lag, {lag:.0f} frames, is the farthest that was tried: it may lie beyond, or there may be none"
-        )
 
 
 def _drawn(
@@ -325,7 +313,7 @@ def _settings_shown(
     shown = {
         key.replace("_", " "): "not known" if value is None else str(value)
         for key, value in told.items()
-        if key not in ("notes", "mask", "region", "outside_space", "still")
+        if key not in UNSHOWN
     }
     where = f"the mask {request.mask.name}" if request.mask else request.region
     if part is not None:

@@ -56,17 +56,17 @@ COLUMNS: dict[str, tuple[str, str]] = {
     ),
     "lag_s": ("s", "the same in seconds, where a frame rate is known"),
     "correlation_at_lag": ("", "the correlation at that lag"),
-    "correlation_at_lag_p": ("", "chance of one as high at its own best lag"),
+    "correlation_at_lag_p": ("", "chance of one as high at its own best lag, the larger of two kinds"),
     "correlation_aligned": (
         "",
         "correlation after dynamic time warping, which is one for all components and at most a quarter of the length",
     ),
-    "correlation_aligned_p": ("", "chance of one as high after its own alignment"),
+    "correlation_aligned_p": ("", "chance of one as high after its own alignment, the larger of two kinds"),
     "alignment_cost": (
         "",
         "distance left a step between the two aligned motions, each centred and of mean square 1; only all together",
     ),
-    "alignment_cost_p": ("", "chance of a cost as low"),
+    "alignment_cost_p": ("", "chance of a cost as low, the larger of two kinds"),
     "alignment_steps": ("step", "length of the path of pairs of frames; only all together"),
     "alignment_timing_rms_frames": (
         "frame",

@@ -18,6 +18,7 @@ from morphspace.detection import Detector
 from morphspace.errors import BadInput
 from morphspace.files.clips import Clip, open_clip
 from morphspace.files.tables import write_loadings_table
+from morphspace.keypoints import how_to_learn
 from morphspace.mimic import METHODS, WITH_REST, Method, auto_gain, mimic
 from morphspace.model import MorphModel
 from morphspace.progress import Steps
@@ -33,6 +34,7 @@ from morphspace.verbs.mimic_folder import (
     WORK_FOLDER,
     check_ours,
     no_empty_folders,
+    remove_unfinished,
     told_what_stays,
 )
 from morphspace.verbs.mimic_frames import FinishedFrames, frame_steps, video_steps
@@ -40,7 +42,9 @@ from morphspace.verbs.mimic_neutral import AUTOMATIC, neutral_names, rest_of
 from morphspace.verbs.mimic_sources import (
     Driver,
     UsedModel,
+    check_apart,
     check_faces,
+    check_landmarks,
     clip_driver,
     opened_model,
     own_detector,
@@ -63,6 +67,8 @@ from morphspace.verbs.render import CLIPPED_SHARE
 
 BEST = "auto"  # the default: the method that measured best of those the models allow
 MAX_SD = 3.0
+MOST_GAIN = 1000.0  # a caricature is 2; with far more every frame shows the same bounded face
+LEAST_SD, MOST_SD = 0.001, 1000.0  # faces lie inside 3
 
 
 @dataclass(frozen=True)
@@ -93,12 +99,25 @@ def run(request: MimicRequest, detector: Detector | None = None) -> Steps[Outcom
     Its document has `no_face`, the number of driving frames in which no face was found. `detector` None takes the
     package's own, where its files have been fetched.
     """
-    _check_request(request)
     detect = detector or own_detector()
-    opened = [opened_model("--src", request.source, detect), opened_model("--dst", request.target, detect)]
-    _check_early(request, opened, detect)
+    opened = _opened(request, detect)
     with told_what_stays(request.output), no_empty_folders(request.output):
         return (yield from _steps(request, opened, detect, detector))
+
+
+def check(request: MimicRequest) -> None:
+    """Raise what can be found out before any work: a batch asks before it starts."""
+    _opened(request, own_detector())
+    if request.frames is not None:
+        open_clip([request.frames])
+
+
+def _opened(request: MimicRequest, detect: Detector | None) -> list[UsedModel | Clip]:
+    """Open what takes part, and refuse what would fail later."""
+    _check_request(request)
+    opened = [opened_model("--src", request.source, detect), opened_model("--dst", request.target, detect)]
+    _check_early(request, opened, detect)
+    return opened
 
 
 def _steps(
@@ -117,9 +136,11 @@ def _steps(
     driver = training_driver(source) if request.frames is None else clip_driver(source, request.frames)
     pictures = tuple(folder / FRAMES_FOLDER / name for name in picture_names(driver.names))
     video = folder / VIDEO_NAME
+    check_apart(folder, driver.files)
     _check_inputs_stay((*pictures, video), [*driver.files, *_files_of(opened)])
     check_folder(folder / FRAMES_FOLDER)
-    method, method_notes = _method(request, source.model, target.model)
+    remove_unfinished(folder)
+    method, method_notes = _method(request, source, target)
     rest = rest_of(source.model, shown_target, request.neutral)
     asked_gain = request.gain
     if asked_gain is None:
@@ -197,19 +218,22 @@ def _steps(
     return _outcome(folder, source.model, target.model, settings, columns, tuple(notes), tuple(written))
 
 
-def _method(request: MimicRequest, source: MorphModel, target: MorphModel) -> tuple[Method, tuple[str, ...]]:
+def _method(request: MimicRequest, source: UsedModel, target: UsedModel) -> tuple[Method, tuple[str, ...]]:
     """Give the method, and a note where a better one wants something."""
     for method in METHODS:
         if method == request.method:
+            if method == "guided":
+                check_landmarks(source)
+                check_landmarks(target)
             return method, ()
-    unlearned = [model.identity for model in (source, target) if model.landmarks is None]
+    unlearned = {used.digest: used for used in (source, target) if used.model.landmarks is None}
     if not unlearned:
         return "guided", ()
-    whose = " and that of ".join(dict.fromkeys(unlearned))
-    return "transfer", (
-        f"the method is transfer, since the model of {whose} does not know its landmarks; guided, which follows lids "
-        "and lips better, needs `morphspace keypoints MODEL --auto`",
+    ways = "; ".join(
+        f"{used.path.name} does not know its landmarks: {how_to_learn(used.model, used.path.name)}"
+        for used in unlearned.values()
     )
+    return "transfer", (f"the method is transfer, not guided, which follows lids and lips better: {ways}",)
 
 
 def _check_request(request: MimicRequest) -> None:
@@ -217,11 +241,18 @@ def _check_request(request: MimicRequest) -> None:
         raise BadInput(
             f"there is no mimicry by {request.method!r}: choose {BEST}, or one of {', '.join(METHODS)}"
         )
-    if isinstance(request.gain, float | int) and not np.isfinite(request.gain):
-        raise BadInput(f"a gain of {request.gain} cannot be used: give a number, 1 for the motion as it is")
-    if not (np.isfinite(request.max_sd) and request.max_sd > 0):
+    for option, given in (("--src", request.source), ("--dst", request.target), ("--frames", request.frames)):
+        if given is not None and not given.strip():
+            raise BadInput(f"{option} is empty: name a model or a clip")
+    if isinstance(request.gain, float | int) and not abs(request.gain) <= MOST_GAIN:
         raise BadInput(
-            f"a bound of {request.max_sd} SD cannot be used: give a number above 0, such as {MAX_SD:g}"
+            f"--gain {request.gain:g} cannot be used: give a number from {-MOST_GAIN:g} to {MOST_GAIN:g}, 1 for the "
+            "motion as it is"
+        )
+    if not LEAST_SD <= request.max_sd <= MOST_SD:
+        raise BadInput(
+            f"--max-sd {request.max_sd:g} cannot be used: give a number from {LEAST_SD:g} to {MOST_SD:g}, such as "
+            f"{MAX_SD:g}"
         )
     check_components(request.components)
     neutral_names(request.neutral)
@@ -232,9 +263,12 @@ def _check_early(request: MimicRequest, opened: Sequence[UsedModel | Clip], dete
     """Find before a model is built what would be found after it."""
     for role, given in zip(("--src", "--dst"), opened, strict=True):
         if isinstance(given, Clip):
+            check_apart(request.output, given.paths)
             check_faces(role, given, request.output / MODELS_FOLDER, request.components, detect)
+        elif request.method == "guided":
+            check_landmarks(given)
     if request.frames is not None and any(isinstance(given, Clip) for given in opened):
-        open_clip([request.frames])
+        check_apart(request.output, open_clip([request.frames]).paths)
 
 
 def _files_of(opened: Sequence[UsedModel | Clip]) -> list[Path]:

@@ -13,8 +13,8 @@ from morphspace.facepoints import LOWER_LIP_TOP, MOUTH_CORNERS, UPPER_LIP_BOTTOM
 from morphspace.model import MorphModel
 from morphspace.verbs.encoding import STRANGE
 from morphspace.verbs.mimic_neutral import Rest
-from morphspace.verbs.mimic_sources import Driver
-from morphspace.verbs.mimic_table import BEYOND, FOLDS, NO_FACE, OUT_OF_RANGE, TURNED, FrameMade
+from morphspace.verbs.mimic_sources import Driver, how_to_get_networks
+from morphspace.verbs.mimic_table import BEYOND, FOLDS, NO_FACE, OUT_OF_RANGE, TURNED, FrameMade, rounded
 
 LITTLE_KEPT = 0.3  # median share of the motion; below it the target hardly follows
 WANTED_GAIN = (
@@ -49,8 +49,8 @@ def looks_for_faces(
             else "whether a head is turned, and "
         )
         words = (
-            f"{frames}whether the means of the two models differ in expression was not looked at: that needs the "
-            "networks (morphspace models fetch)"
+            f"{frames}whether the means of the two models differ in expression was not looked at, which needs the "
+            f"networks: {how_to_get_networks()}"
         )
         return Looks(None, None, (words,))
     found = [detector(np.clip(model.mean.render(), 0, 1)) for model in (source, target)]
@@ -91,7 +91,7 @@ def advice_of(
     return (
         *strange,
         *(rest.notes(source, target) or _means_words(source, target, looks)),
-        *_kept_words(target, made, gain),
+        *_kept_words(target, made, gain, loadings_sd.shape[1]),
         *(() if strange else _centre_words(source, target, loadings_sd, rest)),
         *_flag_words(target, made),
     )
@@ -116,14 +116,20 @@ def _means_words(source: MorphModel, target: MorphModel, looks: Looks) -> tuple[
     )
 
 
-def _kept_words(target: MorphModel, made: Sequence[FrameMade], gain: float) -> tuple[str, ...]:
-    kept = float(np.median([one.quality.warp_kept for one in made]))
+def _kept_words(
+    target: MorphModel, made: Sequence[FrameMade], gain: float, components: int
+) -> tuple[str, ...]:
+    kept = float(np.median([rounded("warp_kept", one.quality.warp_kept) for one in made]))
     if kept >= LITTLE_KEPT or abs(gain - 1) > WANTED_GAIN:
         return ()
+    shown = f"{target.identity} shows only {max(kept, 0):.0%} of the motion's energy (median over frames)"
+    if components < target.rank:
+        return (
+            f"{shown}, by {components} of its {target.rank} components: leave out -k, or give a larger number",
+        )
     return (
-        f"{target.identity} shows only {max(kept, 0):.0%} of the motion's energy (median over frames): its frames hold "
-        "little like it. Build its model from frames with more and stronger expressions, or check the keypoints "
-        "of both models",
+        f"{shown}: its frames hold little like it. Build its model from frames with more and stronger "
+        "expressions, or check the keypoints of both models",
     )
 
 

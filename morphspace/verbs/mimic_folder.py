@@ -1,9 +1,13 @@
-"""The output folder of a mimicry: whose it is before anything is written, and that a refusal leaves nothing behind."""
+"""The output folder of a mimicry: whose it is before anything is written, and that a refusal leaves nothing behind.
+
+`measure-mimicry` guards its own in the same way.
+"""
 
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator
+import re
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -26,26 +30,41 @@ WRITTEN = (
 )
 
 
-def check_ours(folder: Path) -> None:
-    """Raise `BadInput` where the folder holds something under a name of ours that no run of mimic left there."""
-    if not folder.is_dir() or (folder / WORK_FOLDER).is_dir() or _is_recorded(folder / RECORD_NAME):
+UNFINISHED = re.compile(r"\..*\.[a-z0-9_]{8}\.(png|mp4|csv|json|html|morph)")  # names of `whole_file`
+
+
+def check_ours(folder: Path, verb: str = "mimic", written: Sequence[str] = WRITTEN) -> None:
+    """Raise `BadInput` where the folder holds something under a name of ours that no run of the verb left there.
+
+    A folder VERB.work there says that a run was stopped.
+    """
+    begun = (folder / f"{verb}.work").is_dir()
+    if not folder.is_dir() or begun or _is_recorded(folder / RECORD_NAME, verb):
         return
-    for name in WRITTEN:
+    for name in written:
         path = folder / name
         if path.exists() and not (path.is_dir() and not any(path.iterdir())):
             lost = "be mixed with the new pictures" if name == FRAMES_FOLDER else "be written over"
             raise BadInput(
-                f"{folder} is no folder of an earlier mimic, and its {name} would {lost}: choose another output "
+                f"{folder} is no folder of an earlier {verb}, and its {name} would {lost}: choose another output "
                 f"folder, or move {name} away"
             )
 
 
-def _is_recorded(record: Path) -> bool:
+def _is_recorded(record: Path, verb: str) -> bool:
     try:
         document = json.loads(record.read_text(encoding="utf-8"))
     except (OSError, ValueError):
         return False
-    return isinstance(document, dict) and document.get("verb") == "mimic"
+    return isinstance(document, dict) and document.get("verb") == verb
+
+
+def remove_unfinished(folder: Path) -> None:
+    """Take away the files that a killed run was in the middle of writing; the folder must be ours."""
+    for place in (folder, *(folder / name for name in (FRAMES_FOLDER, WORK_FOLDER, MODELS_FOLDER))):
+        for path in place.glob(".*"):
+            if UNFINISHED.fullmatch(path.name) and not path.is_dir():
+                path.unlink(missing_ok=True)
 
 
 @contextmanager
@@ -71,10 +90,12 @@ def _models(folder: Path) -> list[Path]:
 
 
 @contextmanager
-def no_empty_folders(folder: Path) -> Iterator[None]:
-    """Take away, however the block ends, what folders it made here that are empty."""
-    inner = [folder / name for name in (FRAMES_FOLDER, WORK_FOLDER, MODELS_FOLDER)]
-    made = [path for path in (*inner, folder, *folder.parents) if not path.exists()]
+def no_empty_folders(
+    folder: Path, inner: Sequence[str] = (FRAMES_FOLDER, WORK_FOLDER, MODELS_FOLDER)
+) -> Iterator[None]:
+    """Take away, however the block ends, what folders it made here that are empty: `inner` ones, this, its parents."""
+    places = [folder / name for name in inner]
+    made = [path for path in (*places, folder, *folder.parents) if not path.exists()]
     begun = folder / MODELS_FOLDER
     try:
         yield

@@ -7,10 +7,12 @@ that was stopped goes on where it was. The video shows the pictures as they were
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator, Sequence
+import re
+from collections.abc import Generator, Iterator, Sequence
+from contextlib import closing, contextmanager
 from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import cv2
 import numpy as np
@@ -36,6 +38,8 @@ from morphspace.verbs.render import FRAME_RATE_HZ
 
 WORK_FORMAT = "morphspace-mimic-frame-3"
 KEY_DIGITS = 32
+FINISHED = re.compile(rf"[0-9a-f]{{{KEY_DIGITS}}}\.json")
+MARK_NAME = "begun"  # says that the pictures are ours before there is one
 GAP_PX = 4  # between the panels of the video
 THUMBNAIL_WIDTH_PX = 132
 
@@ -68,11 +72,28 @@ class FinishedFrames:
     def write(self, place: int, made: FrameMade) -> None:
         write_text(self.file(place), json_text(made.document()))
 
+    @contextmanager
+    def begun(self) -> Iterator[None]:
+        """Leave a mark before there is any picture, and take it away where the block ends without one.
+
+        A run that failed or was stopped goes on in a folder with the mark (`mimic_folder.check_ours`).
+        """
+        mark = self.folder / MARK_NAME
+        write_text(mark, "")
+        try:
+            yield
+        finally:
+            if not any(picture.exists() for picture in self.pictures):
+                mark.unlink(missing_ok=True)
+
     def remove(self) -> None:
-        """Take away what is finished and recorded; what another request left there stays."""
-        for place in range(len(self.pictures)):
-            self.file(place).unlink(missing_ok=True)
-        if self.folder.is_dir() and not any(self.folder.iterdir()):
+        """Take away what is finished and recorded, of this request and of earlier ones that were stopped."""
+        if not self.folder.is_dir():
+            return
+        for path in sorted(self.folder.iterdir()):
+            if path.name == MARK_NAME or FINISHED.fullmatch(path.name):
+                path.unlink()
+        if not any(self.folder.iterdir()):
             self.folder.rmdir()
 
 
@@ -113,10 +134,15 @@ def frame_steps(
         outside = energy_outside(offset, source, known) if driver.is_pictures else None
         return place, FrameMade(loadings, mimicry.quality, followed, face, outside, clipped, digest)
 
-    for place, one in in_order(one_frame, zip(missing, driver.given(missing), strict=True)):
-        work.write(place, one)
-        made[place] = one
-        yield Step("mimic", len(made), total)
+    under_way = cast(
+        Generator[tuple[int, FrameMade]],
+        in_order(one_frame, zip(missing, driver.given(missing), strict=True)),
+    )
+    with work.begun(), closing(under_way):  # the threads have ended before it is looked what they left
+        for place, one in under_way:
+            work.write(place, one)
+            made[place] = one
+            yield Step("mimic", len(made), total)
     return [made[place] for place in range(total)]
 
 

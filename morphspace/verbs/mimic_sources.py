@@ -14,13 +14,14 @@ from pathlib import Path
 import numpy as np
 
 from morphspace.arrays import AnyArray, Image
-from morphspace.build import COMPONENTS
-from morphspace.detection import Detector, load_detector, models_present
+from morphspace.build import COMPONENTS, MIN_FRAMES
+from morphspace.detection import Detector, load_detector, models_folder, models_present
+from morphspace.detection.models import FETCH_COMMAND, ORIGIN, state_of
 from morphspace.errors import BadInput
 from morphspace.facepoints import FacePoints
 from morphspace.files.clips import VIDEO_SUFFIXES, Clip, open_clip
 from morphspace.flow import methods
-from morphspace.keypoints import detect_faceframe
+from morphspace.keypoints import detect_faceframe, how_to_learn, with_detected
 from morphspace.mimic import offset_of
 from morphspace.model import MorphModel, load_model
 from morphspace.modelfile import check_content
@@ -120,6 +121,33 @@ def own_detector() -> Detector | None:
     return load_detector() if models_present() else None
 
 
+def check_apart(output: Path, inputs: Sequence[Path]) -> None:
+    """Raise `BadInput` where frames lie in the output folder itself: they and what is written would be mixed."""
+    for path in inputs:
+        if path.suffix.lower() not in VIDEO_SUFFIXES and path.parent.resolve() == output.resolve():
+            raise BadInput(
+                f"the output folder {output} holds the frames that are read, such as {path.name}: choose another "
+                "output folder, such as one in it"
+            )
+
+
+def check_landmarks(used: UsedModel) -> None:
+    """Raise `BadInput` with what helps where a model that is to guide does not know its landmarks."""
+    if used.model.landmarks is None:
+        raise BadInput(
+            f"--method guided needs landmarks, and {used.path} does not know them: "
+            f"{how_to_learn(used.model, str(used.path))}, or choose another method"
+        )
+
+
+def how_to_get_networks() -> str:
+    """Say what to do where the detector's files are missing or damaged."""
+    damaged = [file.name for file in ORIGIN.files if state_of(file, models_folder()) == "damaged"]
+    if damaged:
+        return f"run `{FETCH_COMMAND}` again, since {' and '.join(damaged)} of theirs is damaged"
+    return f"run `{FETCH_COMMAND}` once"
+
+
 def own_detector_of(source: MorphModel, driver: Driver) -> Detector | None:
     """Give the same one as the source aligns driving pictures with, so that each is looked at once; else None."""
     anchor = source.anchor if driver.is_pictures else None
@@ -129,6 +157,10 @@ def own_detector_of(source: MorphModel, driver: Driver) -> Detector | None:
 def opened_model(role: str, given: str, detector: Detector | None) -> UsedModel | Clip:
     """Open a model or a clip and check, before any work, that it has or can get keypoints. Raises `BadInput`."""
     path = Path(given)
+    if path.suffix.lower() == MODEL_SUFFIX and not path.exists():
+        raise BadInput(
+            f"{role} {path} does not exist: give a model ({MODEL_SUFFIX}), or a clip to build one of"
+        )
     if path.suffix.lower() == MODEL_SUFFIX and not path.is_dir():
         check_content(path)
         model = load_model(path)
@@ -144,10 +176,15 @@ def opened_model(role: str, given: str, detector: Detector | None) -> UsedModel 
             "build one of"
         )
     clip = open_clip([given])
+    if len(clip) < MIN_FRAMES:
+        raise BadInput(
+            f"{role} {given} is a clip of {len(clip)} frame{'s' if len(clip) > 1 else ''}, too few for a model: "
+            f"give at least {MIN_FRAMES}, better some hundred, or a model ({MODEL_SUFFIX})"
+        )
     if clip.sidecar.faceframe is None and detector is None:
         raise BadInput(
-            f"{role} {given} is a clip, and the keypoints of its model cannot be found without the networks: run "
-            "`morphspace models fetch` once, or give a model with keypoints (`morphspace keypoints`)"
+            f"{role} {given} is a clip, and the keypoints of its model cannot be found without the networks: "
+            f"{how_to_get_networks()}, or give a model with keypoints (`morphspace keypoints`)"
         )
     return clip
 
@@ -193,11 +230,11 @@ def ready_model(
     if model.faceframe is None:
         if detector is None:
             raise BadInput(
-                f"the model {path} has no keypoints, and they cannot be found without the networks: run `morphspace "
-                f"models fetch` once, or set them with `morphspace keypoints {path} --set`"
+                f"the model {path} has no keypoints, and they cannot be found without the networks: "
+                f"{how_to_get_networks()}, or set them with `morphspace keypoints {path} --set`"
             )
         found = yield from detect_faceframe(model, detector)
-        model.with_faceframe(found.faceframe, found.origin).save(path)
+        with_detected(model, found).save(path)
         model = load_model(path)
     yield Step("models", 1, 1)
     return UsedModel(model, path, digest_of_file(path))

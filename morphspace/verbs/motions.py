@@ -32,7 +32,7 @@ from morphspace.verbs.encoding import (
     notes_on_enlarging,
 )
 from morphspace.verbs.imitators import Imitator
-from morphspace.verbs.render import check_reach
+from morphspace.verbs.table_checks import check_reach
 
 Region = Literal["whole", "eyes", "mouth"]
 NAMED_BY_VERBS = (
@@ -154,6 +154,9 @@ def _table(path: Path, model: MorphModel, stimulus: MorphModel, notes: list[str]
         raise BadInput(
             f"{path} has {columns} components, {model.identity} has {model.rank}: encode with this model"
         )
+    if columns < model.rank:
+        rest = "the others count as 0" if model is not stimulus else "the others are not measured"
+        notes.append(f"{path} has {columns} of {model.rank} components of {model.identity}: {rest}")
     rate = document.get("frame_rate_hz")
     rate_hz = float(rate) if isinstance(rate, int | float) and rate > 0 else None
     loadings = np.zeros((len(table.frame_names), model.rank))

@@ -24,7 +24,10 @@ from morphspace.storage import digest_of_file, json_text, write_text
 
 RECORD_NAME = "record.json"
 LONGEST_NAME_BYTES = 200  # of the 255 a file system takes; a record and unfinished files have longer names
-WORK_FILE = re.compile(r"[0-9a-f]{16,64}\.(frame|points|blend)|morphs-.*\.rows")
+WORK_FILE = re.compile(
+    r"(\.[0-9a-f]{16,40}\.[a-z0-9_]{8}|[0-9a-f]{16,64})\.(frame|points|blend)|morphs-.*\.rows"
+)
+"""What a build keeps in its work folder; with a point before and eight marks after, what it was stopped in writing."""
 FOLDER_MARKS = re.compile(r"[/\\]")
 LONGEST_NAME = 200  # bytes; file systems allow 255, and a temporary name is longer
 COMPUTING_PACKAGES = (

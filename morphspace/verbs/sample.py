@@ -8,28 +8,39 @@ from pathlib import Path
 import numpy as np
 
 from morphspace.errors import BadInput
-from morphspace.model import Loadings, load_model
+from morphspace.model import MorphModel, load_model
 from morphspace.progress import Steps
-from morphspace.storage import digest_of_file
-from morphspace.verbs.encode import write_loadings
-from morphspace.verbs.outcome import Outcome, check_folder, write_record
-from morphspace.verbs.render import write_frames
+from morphspace.stimuli.drawing import Drawing
+from morphspace.stimuli.sampling import drawn_sd
+from morphspace.verbs.outcome import Outcome
+from morphspace.verbs.stimulus_set import PlannedSet, plan_of, write_set
 
 
 @dataclass(frozen=True)
 class SampleRequest:
-    """Draw `count` faces with `model` into the folder `output`; `seed` fixes them, `spread` scales the distribution."""
+    """Draw `count` faces with `model` into the folder `output`; `seed` fixes them, `spread` scales the distribution.
+
+    What lies further than `max_sd` along a component is drawn again, None keeps all.
+    """
 
     model: Path
     output: Path
     count: int = 16
     seed: int = 0
     spread: float = 1.0
+    max_sd: float | None = None
 
 
 def run(request: SampleRequest) -> Steps[Outcome]:
-    """Write the images and their loadings. Returns an `Outcome`."""
-    model = load_model(request.model)
+    """Write the set of stimuli. Returns an `Outcome`."""
+    planned = yield from plan(request)
+    return (yield from write_set(planned, request.output))
+
+
+def plan(request: SampleRequest, model: MorphModel | None = None) -> Steps[PlannedSet]:
+    """Draw the numbers, not the pictures; `model` where it is open already. Returns a `PlannedSet`."""
+    yield from ()
+    model = model or load_model(request.model)
     if request.count < 1:
         raise BadInput(f"{request.count} faces were asked for: ask for at least 1")
     if not (np.isfinite(request.spread) and request.spread >= 0):
@@ -38,16 +49,19 @@ def run(request: SampleRequest) -> Steps[Outcome]:
         )
     if request.seed < 0:
         raise BadInput(f"a seed of {request.seed} cannot be used: give a whole number of at least 0")
-    check_folder(request.output)
-    drawn = model.sample(np.random.default_rng(request.seed), request.count)
-    loadings = Loadings(drawn.values * request.spread, drawn.frame_names, drawn.model_id)
-    clipped, images = yield from write_frames(model, loadings.values, loadings.frame_names, request.output)
-    table = write_loadings(request.output / "loadings.csv", loadings, model, request.model, {})
-    written = (*images, *table)
-    settings = {"count": request.count, "seed": request.seed, "spread": request.spread}
-    record = write_record(
-        request.output, "sample", settings, {"model": digest_of_file(request.model)}, written
+    rng = np.random.default_rng(request.seed)
+    loadings_sd, again = drawn_sd(
+        rng, request.count, model.rank, spread=request.spread, max_sd=request.max_sd
     )
-    lines = (f"{request.output}: {request.count} faces of {model.identity}, seed {request.seed}",)
-    notes = (f"{clipped} colour values were clipped: lower the spread",) if clipped else ()
-    return Outcome(lines, {"output": str(request.output), "faces": request.count}, notes, (*written, record))
+    digits = max(4, len(str(request.count - 1)))
+    drawings = [
+        Drawing(
+            f"sample_{row:0{digits}d}", loadings_sd[row : row + 1], told={"draw": row, "seed": request.seed}
+        )
+        for row in range(request.count)
+    ]
+    notes: tuple[str, ...] = ()
+    if again:
+        share = again / loadings_sd.size
+        notes = (f"{again} loadings ({share:.2g} a loading) beyond {request.max_sd:g} SD were drawn again",)
+    return plan_of(request, "sample", model, drawings, notes=notes)

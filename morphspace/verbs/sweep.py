@@ -1,20 +1,20 @@
-"""sweep: what each component does, from minus to plus n SD, as a strip and as a video."""
+"""sweep: what each component does, from minus to plus n SD, as pictures and as a video that goes there and back."""
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
-from morphspace.arrays import AnyArray, Image
+from morphspace.arrays import AnyArray, Image, LoadingTable
 from morphspace.errors import BadInput
-from morphspace.files.images import write_image
-from morphspace.files.video import write_video
 from morphspace.model import MorphModel, load_model
-from morphspace.progress import Step, Steps
-from morphspace.storage import digest_of_file
-from morphspace.verbs.outcome import Outcome, check_folder, write_record
+from morphspace.progress import Steps
+from morphspace.stimuli.drawing import Drawing
+from morphspace.verbs.outcome import Outcome
+from morphspace.verbs.stimulus_set import PlannedSet, plan_of, write_set
 
 VIDEO_FRAMES = 50  # there and back again, so that it loops
 FRAME_RATE_HZ = 25.0
@@ -32,52 +32,70 @@ class SweepRequest:
 
 
 def run(request: SweepRequest) -> Steps[Outcome]:
-    """Write pcNNN.png (a strip) and pcNNN.mp4 for each component. Returns an `Outcome`."""
-    model = load_model(request.model)
+    """Write the set of stimuli: pictures pcNNN_AMOUNTsd and a video pcNNN a component. Returns an `Outcome`."""
+    planned = yield from plan(request)
+    return (yield from write_set(planned, request.output))
+
+
+def plan(request: SweepRequest, model: MorphModel | None = None) -> Steps[PlannedSet]:
+    """Check everything, draw nothing; `model` where it is open already. Returns a `PlannedSet`."""
+    yield from ()
+    model = model or load_model(request.model)
     if request.components < 1 or request.steps < 2:
         raise BadInput(
             f"{request.components} components in {request.steps} steps: ask for at least 1 in 2 steps"
         )
-    if not (np.isfinite(request.amount_sd) and request.amount_sd > 0):
-        raise BadInput(f"an amount of {request.amount_sd} SD cannot be swept: give a number above 0")
+    check_amount(request.amount_sd)
     if model.rank == 0:
         raise BadInput(f"{model.identity} has rank 0, nothing to sweep: build it from frames that differ")
-    check_folder(request.output)
-    count = min(request.components, model.rank)
-    written: list[Path] = []
-    clipped = 0
     amounts_sd = np.linspace(-request.amount_sd, request.amount_sd, request.steps)
-    phase = np.sin(2 * np.pi * np.arange(VIDEO_FRAMES) / VIDEO_FRAMES)
-    for component in range(count):
-        strip = request.output / f"pc{component + 1:03d}.png"
-        clipped += write_image(strip, np.concatenate(component_faces(model, component, amounts_sd), axis=1))
-        video = request.output / f"pc{component + 1:03d}.mp4"
-        write_video(
-            video,
-            component_faces(model, component, request.amount_sd * phase),
-            frame_rate_hz=FRAME_RATE_HZ,
-            encoding="people",
+    count = min(request.components, model.rank)
+    drawings = [
+        drawing
+        for component in range(count)
+        for drawing in _of_component(model, component, amounts_sd, request.amount_sd)
+    ]
+    notes = (
+        ()
+        if count == request.components
+        else (f"{request.components} components were asked for, {model.identity} has {count}: all are swept",)
+    )
+    return plan_of(request, "sweep", model, drawings, notes=notes)
+
+
+def check_amount(amount_sd: float) -> None:
+    """Raise `BadInput` for an amount that leads nowhere."""
+    if not (np.isfinite(amount_sd) and amount_sd > 0):
+        raise BadInput(f"an amount of {amount_sd} SD cannot be swept: give a number above 0")
+
+
+def _of_component(
+    model: MorphModel, component: int, amounts_sd: AnyArray, furthest_sd: float
+) -> Iterator[Drawing]:
+    name = f"pc{component + 1:03d}"
+    for amount in amounts_sd.tolist():
+        told = {"component": component + 1, "amount_sd": amount}
+        yield Drawing(
+            f"{name}_{amount_words(amount)}sd", along(model, component, np.array([amount])), told=told
         )
-        written += [strip, video]
-        yield Step("sweep", component + 1, count)
-    settings = {"components": count, "amount_sd": request.amount_sd, "steps": request.steps}
-    record = write_record(
-        request.output, "sweep", settings, {"model": digest_of_file(request.model)}, written
-    )
-    lines = (
-        f"{request.output}: {count} components of {model.identity}, "
-        f"-{request.amount_sd:g} to +{request.amount_sd:g} SD",
-    )
-    notes = (f"{clipped} colour values were clipped: sweep fewer SD",) if clipped else ()
-    document = {"output": str(request.output), "components": count, "amount_sd": request.amount_sd}
-    return Outcome(lines, document, notes, (*written, record))
+    phase = np.sin(2 * np.pi * np.arange(VIDEO_FRAMES) / VIDEO_FRAMES)
+    there_and_back = along(model, component, furthest_sd * phase)
+    told = {"component": component + 1}
+    yield Drawing(name, there_and_back, frame_rate_hz=FRAME_RATE_HZ, suffix=".mp4", told=told)
+
+
+def amount_words(amount_sd: float) -> str:
+    """Give an amount as a part of a name, with its sign; 0 has none."""
+    return "0" if abs(amount_sd) < 1e-9 else f"{amount_sd:+g}"
+
+
+def along(model: MorphModel, component: int, amounts_sd: AnyArray) -> LoadingTable:
+    """Give the loadings (n, k) SD at these amounts along one component, all others at 0."""
+    table = np.zeros((len(amounts_sd), model.rank))
+    table[:, component] = amounts_sd
+    return table
 
 
 def component_faces(model: MorphModel, component: int, amounts_sd: AnyArray) -> list[Image]:
     """Give the faces (h, w, 3) at these amounts (SD) along one component, all others at 0."""
-    faces = []
-    for amount in amounts_sd:
-        loadings = np.zeros(model.rank)
-        loadings[component] = amount * model.sd[component]
-        faces.append(model.render(loadings))
-    return faces
+    return [model.render(row * model.sd) for row in along(model, component, amounts_sd)]

@@ -1,0 +1,106 @@
+"""What is said about a blend before anyone looks at it: who is left out, who looks elsewhere, how sharp it came out."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from morphspace.arrays import Points
+from morphspace.avatar.settings import MOST_SHARPEN, SOURCE, Expression
+from morphspace.avatar.studio import Studio
+from morphspace.facepoints import LEFT_IRIS, LEFT_LIDS, RIGHT_IRIS, RIGHT_LIDS
+from morphspace.keypoints import landmarks_of
+
+SHARP_ENOUGH = (0.85, 1.20)  # of the sources' sharpness: outside, a blend looks soft or drawn
+LOOKING_APART = 0.10  # of an eye's width, between the irises of two mean faces: some 15 degrees of gaze
+CORNERS = ((RIGHT_IRIS[0], RIGHT_LIDS[0], RIGHT_LIDS[8]), (LEFT_IRIS[0], LEFT_LIDS[8], LEFT_LIDS[0]))
+"""Centre of the iris, and the corners of its eye from the image's left to its right."""
+
+
+def notes_on(studio: Studio, expressions: Sequence[Expression], sharp_share: float) -> tuple[str, ...]:
+    """Give one line for each thing to know; `sharp_share` is the finished model's sharpness over what was wanted."""
+    return (
+        *_who(studio),
+        *_left_out(studio, expressions),
+        *_gaze(studio),
+        *_sharpness(sharp_share, studio.settings.sharpen),
+    )
+
+
+def _who(studio: Studio) -> list[str]:
+    notes = []
+    idle = [studio.labels[i] for i in range(len(studio.models)) if i not in studio.part]
+    if idle:
+        notes.append(f"{', '.join(idle)}: weight 0, so neither face nor expressions take part")
+    names = [model.identity for model in studio.models]
+    for name in dict.fromkeys(name for name in names if names.count(name) > 1):
+        notes.append(
+            f"{names.count(name)} of the models are of {name}: that identity counts so many times; leave out what "
+            "repeats"
+        )
+    own = studio.settings.provenance.get("identity")
+    if own in names:
+        notes.append(
+            f"the avatar is called {own}, as one of its sources is: --identity gives it a name of its own"
+        )
+    if studio.settings.faceframe != SOURCE and len(studio.part) == 1:
+        notes.append("only one identity has any weight: the avatar is that person")
+    return notes
+
+
+def _left_out(studio: Studio, expressions: Sequence[Expression]) -> list[str]:
+    notes = []
+    for given in studio.part:
+        out = [one for one in expressions if one.weights[given] == 0]
+        if out:
+            shown = ", ".join(one.name for one in out[:3])
+            notes.append(
+                f"{studio.labels[given]} is left out of {len(out)} of {len(expressions)} expressions that it cannot "
+                f"show ({shown}{', ...' if len(out) > 3 else ''}): there it enters with its mean face only"
+            )
+    return notes
+
+
+def _gaze(studio: Studio) -> list[str]:
+    known = {}
+    for given in studio.part:
+        points = landmarks_of(studio.models[given])
+        if points is not None:
+            known[studio.labels[given]] = gaze(points)
+    if len(known) < 2:
+        return []
+    least, most = (pick(known, key=known.__getitem__) for pick in (min, max))
+    apart = known[most] - known[least]
+    if apart <= LOOKING_APART:
+        return []
+    return [
+        f"the mean faces of {least} and {most} look in different directions: their irises are {apart:.2f} of an eye's "
+        "width apart; look at the eyes of the blend"
+    ]
+
+
+def gaze(points: Points) -> float:
+    """Give how far to the image's right the irises stand, mean of both, in widths of the eye; 0 is midway.
+
+    `points` (478, 2) px, those of the face mesh.
+    """
+    found = []
+    for iris, left, right in CORNERS:
+        across = points[right] - points[left]
+        found.append(
+            (points[iris] - (points[left] + points[right]) / 2) @ across / max(across @ across, 1e-12)
+        )
+    return float(np.mean(found))
+
+
+def _sharpness(share: float, asked: float | None) -> list[str]:
+    low, high = SHARP_ENOUGH
+    if low <= share <= high:
+        return []
+    told = f"the avatar is {share:.0%} as sharp as its sources, and {low:.0%} to {high:.0%} would pass for as sharp"
+    if asked is not None:
+        return [f"{told}: --sharpen auto chooses the amount by that"]
+    if share < low:
+        return [f"{told}: more than {MOST_SHARPEN:g} times the detail would ring at edges"]
+    return [f"{told}: nothing was sharpened beyond what the blend needs; look at the page"]

@@ -1,0 +1,169 @@
+"""A model of two people's faces: one component, from the one to the other, on the mean face of both (ours).
+
+The two mean faces are put in correspondence as the faces of an avatar are (`common_face`), and then taken for two
+frames of one clip: mean shape, morphs and component follow as in any build (Nagle section 2).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from morphspace import faces, warp
+from morphspace.arrays import Affine
+from morphspace.avatar.blend import told_together
+from morphspace.avatar.common_face import common_face, placed
+from morphspace.avatar.selection import labels_of, model_key
+from morphspace.avatar.settings import check_models
+from morphspace.basis import fit_basis
+from morphspace.errors import BadInput
+from morphspace.facepoints import RIGID_POINTS
+from morphspace.keypoints import landmarks_of, lip_of, required_faceframe
+from morphspace.model import Loadings, MorphModel, inner_product, model_digest
+from morphspace.morph import Morph, invert_mean_shape, parts_of, resource, vector_of
+from morphspace.registration import fitted_similarity
+from morphspace.rows import RowArray
+from morphspace.storage import digest_of_array, digest_of_json
+
+POINT_DIGITS = 2  # of a px, as `keypoints --auto` writes them
+
+
+@dataclass(frozen=True, eq=False)
+class Pair:
+    """The model of two faces, whose training loadings (2, 1) are the first and the second, and its component.
+
+    `place` (2, 3) is the similarity that lays the second mean face on the first, from brow to nose.
+    """
+
+    model: MorphModel
+    place: Affine
+
+
+def pair_model(
+    models: Sequence[MorphModel], *, flow: str, inputs: Mapping[str, str], versions: Mapping[str, str]
+) -> Pair:
+    """Build the model of the mean faces of two models; the first stays where it is, the second is laid upon it.
+
+    The second's mean face is moved, turned and scaled so that its rigid part lies on the first's: what remains between
+    them is shape. `inputs` (name to SHA-256) and `versions` go into the provenance. Raises `BadInput` where the models
+    have no keypoints, other sizes, or show the same face.
+    """
+    if len(models) != 2:
+        raise BadInput(f"{len(models)} models make no pair: give 2")
+    check_models(models)
+    keys = [model_key(model) for model in models]
+    if keys[0] == keys[1]:
+        raise BadInput(
+            f"both models are the same one, of {models[0].identity}: nothing lies between a face and itself"
+        )
+    home, other = models
+    place = _place(other, home)
+    common = common_face(models, keys, 0, flow)
+    fields = [
+        placed(warp.compose(model.mean.displacement, field), at)
+        for model, field, at in zip(models, common.fields, (faces.identity_affine(), place), strict=True)
+    ]
+    mean_field = (0.5 * (fields[0] + fields[1])).astype(np.float32)
+    try:
+        to_home = invert_mean_shape(mean_field)
+    except BadInput as error:
+        raise BadInput(
+            f"no face lies between those of {home.identity} and {other.identity}, whose points cannot be put in "
+            "correspondence: check the keypoints of both with `morphspace keypoints`"
+        ) from error
+    height, width = home.mask.shape
+    rows = np.stack(
+        [
+            vector_of(
+                warp.sample(np.array(model.mean.texture), warp.compose(across, to_home)),
+                resource(field, to_home),
+            )
+            for model, across, field in zip(models, common.fields, fields, strict=True)
+        ]
+    ).astype(np.float32)
+    mask = np.clip(warp.sample_field(common.mask, to_home), 0, 1).astype(np.float32)
+    weight = float(np.sqrt(home.warp_weight * other.warp_weight))
+    mean, basis, loadings = fit_basis(RowArray(rows), inner_product(mask, weight), 1)
+    if basis.rank == 0:
+        raise BadInput(
+            f"the mean faces of {home.identity} and {other.identity} do not differ: give two that do"
+        )
+    texture, displacement = parts_of(mean, height, width)
+    reference_id = digest_of_json([digest_of_array(texture), digest_of_array(displacement)])[:16]
+    mean_morph = Morph(displacement, texture, reference_id)
+    reference = np.clip(mean_morph.render(), 0, 1)
+    faceframe = required_faceframe(home).moved(warp.move_points(mean_field, required_faceframe(home).points))
+    labels = labels_of(models, keys)
+    provenance = {
+        **_provenance(models, labels, inputs, versions),
+        "reference": {
+            "frame": "mean",
+            "reason": "it lies halfway between the two faces",
+            "sha256": digest_of_array(reference),
+        },
+        "keypoints": _keypoints(home, mean_field),
+        "pair": {
+            "identities": list(labels),
+            "model_ids": [model.model_id for model in models],
+            "placed": place.tolist(),
+        },
+    }
+    model = MorphModel(
+        mean=mean_morph,
+        basis=basis,
+        warp_weight=weight,
+        mask=mask,
+        reference=reference,
+        mean_inverse=np.zeros((height, width, 2), np.float32),
+        faceframe=faceframe,
+        reference_faceframe=faceframe,
+        training=Loadings(loadings, labels, model_digest(basis, mean_morph, provenance)),
+        registration="similarity",
+        flow=flow,
+        provenance=provenance,
+    )
+    return Pair(model, place)
+
+
+def _place(other: MorphModel, home: MorphModel) -> Affine:
+    """Give the similarity (2, 3) that lays one mean face on another: by the skull's points, or the keypoints."""
+    points = [landmarks_of(model) for model in (other, home)]
+    if points[0] is None or points[1] is None:
+        return fitted_similarity(required_faceframe(other).points, required_faceframe(home).points)
+    rigid = list(RIGID_POINTS)
+    return fitted_similarity(points[0][rigid], points[1][rigid])
+
+
+def _keypoints(home: MorphModel, mean_field: Any) -> dict[str, Any]:
+    """Say where the keypoints of the pair come from; the first's mesh points go along, where they are known."""
+    told: dict[str, Any] = {"source": "pair", "lip": lip_of(home), "on": "mean"}
+    points = landmarks_of(home)
+    if points is not None:
+        moved = warp.move_points(mean_field, points)
+        told["points"] = [[round(float(x), POINT_DIGITS), round(float(y), POINT_DIGITS)] for x, y in moved]
+    return told
+
+
+def _provenance(
+    models: Sequence[MorphModel],
+    labels: tuple[str, ...],
+    inputs: Mapping[str, str],
+    versions: Mapping[str, str],
+) -> dict[str, Any]:
+    width, height = models[0].size
+    return {
+        "identity": "-".join(labels),
+        "consent": told_together(labels, [model.provenance.get("consent") for model in models]),
+        "licence": told_together(labels, [model.provenance.get("licence") for model in models]),
+        "frame_rate_hz": None,
+        "framing": {"source_size": [width, height], "crop": None, "size": [width, height]},
+        "mask_sha256": None,
+        "inputs": dict(inputs),
+        "flow_start": "none",
+        "components_asked": 1,
+        "warp_weight_trials": [],
+        "versions": dict(versions),
+    }

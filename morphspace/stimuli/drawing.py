@@ -1,0 +1,216 @@
+"""A drawing: numbers enough to draw a stimulus again with one model, and to write down beside it (ours).
+
+A stimulus is loadings in SD, one row a frame; where shape and colour have gains of their own there are two tables, and
+where only a region is changed there is one more for the rest of the face. The whole of it goes through JSON and comes
+back bit-equal, so that a sidecar is enough to draw the stimulus again.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from morphspace.arrays import AnyArray, LoadingTable, Mask
+from morphspace.errors import BadInput
+
+FURTHEST_SD = 1000.0  # beyond it a table holds a mistake, and colours leave what numbers can hold
+PICTURE_SUFFIXES = (".png",)
+VIDEO_SUFFIXES = (".mp4", ".mkv")
+LONGEST_PART_BYTES = 200  # of a name's part; file systems take 255, and an unfinished file has a longer name
+UNFIT = re.compile(r'[\x00-\x1f\x7f\\:*?"<>|]')  # in a name: what one of the usual file systems refuses
+RESERVED = re.compile(r"(con|prn|aux|nul|com[0-9]|lpt[0-9])(\..*)?", re.IGNORECASE)  # names Windows keeps
+SCALARS = (str, int, float, bool, type(None))
+
+
+@dataclass(frozen=True, eq=False)
+class Placing:
+    """Where rendered faces go back to: one original picture and one registration a frame.
+
+    `names` of the original frames | `digests`, the SHA-256 of each | `registrations` (n, 2, 3), from a point of the
+    rendered picture to the original's, px | `sources`, the words that open the clip they are in.
+    """
+
+    names: tuple[str, ...]
+    digests: tuple[str, ...]
+    registrations: AnyArray
+    sources: tuple[str, ...]
+
+    def __post_init__(self) -> None:
+        maps = _fixed(self.registrations)
+        if maps.shape != (len(self.names), 2, 3) or len(self.digests) != len(self.names):
+            raise BadInput(
+                f"registrations of shape {maps.shape} and {len(self.digests)} digests do not fit "
+                f"{len(self.names)} original frames: give one of each a frame"
+            )
+        if not np.isfinite(maps).all():
+            raise BadInput("a registration is not finite: align the frames again")
+        object.__setattr__(self, "registrations", maps)
+
+    def document(self) -> dict[str, Any]:
+        """Give the placing as JSON."""
+        return {
+            "names": list(self.names),
+            "digests": list(self.digests),
+            "registrations": self.registrations.reshape(-1, 6).tolist(),
+            "sources": list(self.sources),
+        }
+
+
+@dataclass(frozen=True, eq=False)
+class Drawing:
+    """A stimulus as numbers, called `name`: the file's name without suffix, with "/" between folders.
+
+    `loadings_sd` (n, k) SD, one row a frame: the warp and, unless `colour_sd` (n, k) is given, the colours | `region`,
+    where the face is that of the loadings; elsewhere it is that of `outside_sd` (n, k) | `region_mask` (h, w) on the
+    mean face, where the region is no named one | `frame_rate_hz` of a video, None for one picture | `suffix` of the
+    file | `placing`, where the face is put back into original frames | `told`, what to say of it in the manifest.
+
+    Raises `BadInput` where these disagree, or a loading is not finite or beyond `FURTHEST_SD`.
+    """
+
+    name: str
+    loadings_sd: LoadingTable
+    colour_sd: LoadingTable | None = None
+    region: str | None = None
+    outside_sd: LoadingTable | None = None
+    frame_rate_hz: float | None = None
+    suffix: str = ".png"
+    placing: Placing | None = None
+    told: Mapping[str, Any] = field(default_factory=dict)
+    region_mask: Mask | None = None
+
+    def __post_init__(self) -> None:
+        check_name(self.name)
+        for entry in ("loadings_sd", "colour_sd", "outside_sd"):
+            if getattr(self, entry) is not None:
+                object.__setattr__(self, entry, self._checked(entry))
+        if (self.region is None) != (self.outside_sd is None):
+            raise BadInput(
+                f"{self.name}: a region and the face outside it belong together: give both or neither"
+            )
+        self._check_kind()
+        if self.placing is not None and len(self.placing.names) != len(self.loadings_sd):
+            raise BadInput(
+                f"{self.name} has {len(self.loadings_sd)} frames and {len(self.placing.names)} originals to put them "
+                "into: give one a frame"
+            )
+        for key, value in self.told.items():
+            if not isinstance(value, SCALARS) or (isinstance(value, float) and not np.isfinite(value)):
+                raise BadInput(f"{self.name}: {key} is {value!r}, a text or a finite number was expected")
+
+    @property
+    def file_name(self) -> str:
+        """The stimulus' file, from the folder of its set."""
+        return self.name + self.suffix
+
+    def _check_kind(self) -> None:
+        kinds = PICTURE_SUFFIXES if self.frame_rate_hz is None else VIDEO_SUFFIXES
+        if self.suffix not in kinds:
+            raise BadInput(f"{self.name} cannot be written as {self.suffix!r}: use one of {', '.join(kinds)}")
+        if self.frame_rate_hz is None and len(self.loadings_sd) != 1:
+            raise BadInput(
+                f"{self.name} has {len(self.loadings_sd)} frames and no frame rate: a picture has one frame, a video "
+                "needs a rate in Hz"
+            )
+        if self.frame_rate_hz is not None and not 0 < self.frame_rate_hz <= 1000:
+            raise BadInput(
+                f"{self.name} has a frame rate of {self.frame_rate_hz} Hz: give one above 0, at most 1000"
+            )
+
+    def _checked(self, entry: str) -> LoadingTable:
+        values = _fixed(getattr(self, entry))
+        shape = np.shape(self.loadings_sd)
+        if values.ndim != 2 or len(values) == 0 or values.shape != shape:
+            raise BadInput(
+                f"{self.name}: {entry} has the shape {values.shape}, one row a frame and the loadings' own shape "
+                f"{shape} were expected"
+            )
+        with np.errstate(invalid="ignore"):
+            beyond = np.argwhere(~(np.abs(values) <= FURTHEST_SD))
+        if len(beyond):
+            row, column = beyond[0]
+            raise BadInput(
+                f"{self.name}: pc{column + 1:03d} comes to {values[row, column]:.3g} SD, at most {FURTHEST_SD:g} can "
+                "be drawn: mend the loadings or lower the gain"
+            )
+        return values
+
+    def document(self) -> dict[str, Any]:
+        """Give the drawing as JSON, from which `drawing_of` makes it again, bit-equal."""
+        return {
+            "name": self.name,
+            "suffix": self.suffix,
+            "frame_rate_hz": self.frame_rate_hz,
+            "loadings_sd": self.loadings_sd.tolist(),
+            "colour_sd": None if self.colour_sd is None else self.colour_sd.tolist(),
+            "region": self.region,
+            "outside_sd": None if self.outside_sd is None else self.outside_sd.tolist(),
+            "placing": None if self.placing is None else self.placing.document(),
+            "told": dict(self.told),
+        }
+
+
+def drawing_of(document: Mapping[str, Any], region_mask: Mask | None = None) -> Drawing:
+    """Make the drawing that gave this document. Raises `BadInput` where an entry is missing or of another kind."""
+    try:
+        placing = document["placing"]
+        return Drawing(
+            name=str(document["name"]),
+            loadings_sd=np.array(document["loadings_sd"], np.float64),
+            colour_sd=_table_or_none(document["colour_sd"]),
+            region=None if document["region"] is None else str(document["region"]),
+            outside_sd=_table_or_none(document["outside_sd"]),
+            frame_rate_hz=None if document["frame_rate_hz"] is None else float(document["frame_rate_hz"]),
+            suffix=str(document["suffix"]),
+            placing=None if placing is None else _placing_of(placing),
+            told=dict(document["told"]),
+            region_mask=region_mask,
+        )
+    except (KeyError, TypeError, ValueError) as error:
+        raise BadInput(f"this is not a drawing: {error}; copy the sidecar again") from error
+
+
+def _placing_of(document: Mapping[str, Any]) -> Placing:
+    return Placing(
+        tuple(map(str, document["names"])),
+        tuple(map(str, document["digests"])),
+        np.array(document["registrations"], np.float64).reshape(-1, 2, 3),
+        tuple(map(str, document["sources"])),
+    )
+
+
+def check_name(name: str) -> None:
+    """Raise `BadInput` where a stimulus' name cannot name a file in the set's folder on every usual system."""
+    parts = name.split("/")
+    for part in parts:
+        wrong = UNFIT.search(part)
+        if not part.strip(". ") or part != part.strip() or part.endswith(".") or part.startswith("."):
+            raise BadInput(
+                f"a stimulus is called {name!r:.80}: a part of its name is empty, or begins or ends with a dot or "
+                "a space; rename it"
+            )
+        if wrong or RESERVED.fullmatch(part):
+            which = repr(wrong.group()) if wrong else repr(part)
+            raise BadInput(
+                f"a stimulus is called {name!r:.80}: {which} cannot be in a file's name; rename it"
+            )
+        if len(part.encode()) > LONGEST_PART_BYTES:
+            raise BadInput(
+                f"a stimulus is called {part[:20]}... with {len(part.encode())} bytes: give at most "
+                f"{LONGEST_PART_BYTES}"
+            )
+
+
+def _fixed(values: Any) -> AnyArray:
+    """Give a read-only copy in float64."""
+    array = np.array(values, np.float64)
+    array.setflags(write=False)
+    return array
+
+
+def _table_or_none(values: Any) -> LoadingTable | None:
+    return None if values is None else np.array(values, np.float64)

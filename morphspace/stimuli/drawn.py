@@ -1,0 +1,102 @@
+"""From a drawing to pictures, frame by frame (Nagle section 2: mean + P l, then the texture where it is sent)."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+
+import numpy as np
+
+from morphspace.arrays import AnyArray, Image, LoadingVector, Mask
+from morphspace.errors import BadInput
+from morphspace.model import MorphModel
+from morphspace.morph import Morph
+from morphspace.progress import in_order
+from morphspace.stimuli.drawing import Drawing
+from morphspace.stimuli.regions import region_mask
+
+
+def draw(model: MorphModel, drawing: Drawing, originals: Iterable[Image] | None = None) -> Iterator[Image]:
+    """Draw the frames (h, w, 3) of a drawing, in order, in constant memory.
+
+    `originals` are the pictures of its placing, one a frame. Raises `BadInput` where the model has fewer components
+    than the drawing, or originals are missing.
+    """
+    for morph, image in morphs_and_images(model, drawing, originals, 1):
+        del morph
+        yield image
+
+
+def morphs_and_images(
+    model: MorphModel, drawing: Drawing, originals: Iterable[Image] | None, workers: int
+) -> Iterator[tuple[Morph, Image]]:
+    """Draw the frames of a drawing by so many threads, in order: the morph, and the picture (h, w, 3) of it."""
+    mask = mask_of(model, drawing)
+    count = len(drawing.loadings_sd)
+    if drawing.placing is not None and originals is None:
+        raise BadInput(f"{drawing.name} goes back into its original frames: give these pictures")
+
+    def frame(item: tuple[int, Image | None]) -> tuple[Morph, Image]:
+        row, original = item
+        morph = morph_at(model, drawing, row, mask)
+        image = morph.render()
+        if original is not None and drawing.placing is not None:
+            image = model.placed(image, original, drawing.placing.registrations[row])
+        return morph, image
+
+    items = (
+        ((row, None) for row in range(count))
+        if originals is None or drawing.placing is None
+        else zip(range(count), originals, strict=True)
+    )
+    yield from map(frame, items) if workers == 1 else in_order(frame, items, workers)
+
+
+def mask_of(model: MorphModel, drawing: Drawing) -> Mask | None:
+    """Give the mask (h, w) of a drawing's region on the mean face, None where the whole face is drawn."""
+    if drawing.region is None:
+        return None
+    mask = region_mask(model, drawing.region) if drawing.region_mask is None else drawing.region_mask
+    if mask.shape != model.mask.shape:
+        raise BadInput(
+            f"the region {drawing.region} is {mask.shape[1]}x{mask.shape[0]}, the model's frames are "
+            f"{model.size[0]}x{model.size[1]}: paint it on a rendered mean face"
+        )
+    return mask
+
+
+def morph_at(model: MorphModel, drawing: Drawing, row: int, mask: Mask | None) -> Morph:
+    """Give the morph of one frame of a drawing; `mask` as `mask_of` gives it."""
+    colour = None if drawing.colour_sd is None else drawing.colour_sd[row]
+    inside = _morph(model, drawing.loadings_sd[row], colour)
+    if mask is None or drawing.outside_sd is None:
+        return inside
+    outside = model.expand(_loadings(model, drawing.outside_sd[row]))
+    share = mask[..., None].astype(np.float32)
+    return Morph(
+        outside.displacement + share * (inside.displacement - outside.displacement),
+        outside.texture + share * (inside.texture - outside.texture),
+        inside.reference_id,
+    )
+
+
+def _morph(model: MorphModel, shape_sd: LoadingVector, colour_sd: LoadingVector | None) -> Morph:
+    if colour_sd is None:
+        return model.expand(_loadings(model, shape_sd))
+    shape, colour = _loadings(model, shape_sd), _loadings(model, colour_sd)
+    basis = model.basis if len(shape) == model.rank else model.basis.truncate(len(shape))
+    height, width = model.mask.shape
+    colours = 3 * height * width
+    texture: AnyArray = basis.expand(colour, slice(0, colours)).reshape(height, width, 3)
+    displacement: AnyArray = basis.expand(shape, slice(colours, None)).reshape(height, width, 2)
+    return Morph(
+        model.mean.displacement + displacement, model.mean.texture + texture, model.mean.reference_id
+    )
+
+
+def _loadings(model: MorphModel, values_sd: LoadingVector) -> LoadingVector:
+    if len(values_sd) > model.rank:
+        raise BadInput(
+            f"{len(values_sd)} loadings do not fit {model.identity}, which has {model.rank} components: draw with the "
+            "model they belong to"
+        )
+    return values_sd * model.sd[: len(values_sd)]

@@ -1,0 +1,291 @@
+"""What can be done to recorded motions, by the words of a command line or a recipe, one after the other.
+
+Most operations change every motion by itself; `splice` and `average` make one of all, and `caricature` compares them.
+"""
+
+from __future__ import annotations
+
+import difflib
+import re
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, TypeAlias
+
+import numpy as np
+
+from morphspace.arrays import AnyArray, LoadingTable
+from morphspace.errors import BadInput
+from morphspace.stimuli import timing, trajectory
+from morphspace.stimuli.motion_words import WORDS, Word
+from morphspace.stimuli.timing import Ends
+
+LONGEST_NAME = 80  # of motions that were joined; longer ones are counted
+SAME_RATE = 1e-6  # of the rate
+NUMBER = re.compile(r"[+-]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][+-]?[0-9]+)?")
+
+
+@dataclass(frozen=True, eq=False)
+class Motion:
+    """A motion: `loadings_sd` (n, k) SD, one row a frame, at `rate_hz`; `ends` closed where it is a loop."""
+
+    name: str
+    loadings_sd: LoadingTable
+    rate_hz: float
+    ends: Ends = "open"
+
+    @property
+    def duration_s(self) -> float:
+        """How long its frames are shown, s."""
+        return len(self.loadings_sd) / self.rate_hz
+
+
+@dataclass(frozen=True)
+class Operation:
+    """An operation by its word, with its numbers: none, one, or two."""
+
+    word: str
+    numbers: tuple[float, ...] = ()
+
+    def __str__(self) -> str:
+        shown = ":".join(f"{number:.12g}" for number in self.numbers)
+        return f"{self.word}={shown}" if shown else self.word
+
+
+@dataclass(frozen=True, eq=False)
+class Setting:
+    """What operations need besides their motions: `weights` (k,), the model's SD; a guide, if any; random numbers."""
+
+    weights: AnyArray
+    guide: Motion | None
+    rng: np.random.Generator
+
+
+Work: TypeAlias = Callable[[Sequence[Motion], tuple[float, ...], Setting], Sequence[Motion]]
+
+
+def _each(work: Callable[[Motion, tuple[float, ...], Setting], Motion]) -> Work:
+    def apply(motions: Sequence[Motion], numbers: tuple[float, ...], setting: Setting) -> Sequence[Motion]:
+        return [work(motion, numbers, setting) for motion in motions]
+
+    return apply
+
+
+def _smooth(motion: Motion, numbers: tuple[float, ...], setting: Setting) -> Motion:
+    return _changed(motion, timing.smoothed(motion.loadings_sd, numbers[0], motion.rate_hz, motion.ends))
+
+
+def _speed(motion: Motion, numbers: tuple[float, ...], setting: Setting) -> Motion:
+    return _changed(motion, timing.retimed(motion.loadings_sd, numbers[0], motion.ends))
+
+
+def _rate(motion: Motion, numbers: tuple[float, ...], setting: Setting) -> Motion:
+    (rate_hz,) = numbers
+    if not 0 < rate_hz <= 1000:
+        raise BadInput(f"a frame rate of {rate_hz:g} Hz cannot be shown: give one above 0, at most 1000")
+    if motion.duration_s * rate_hz < 2:
+        raise BadInput(
+            f"{motion.name} lasts {motion.duration_s:g} s, less than 2 frames at {rate_hz:g} Hz: give a higher rate"
+        )
+    loadings = timing.retimed(motion.loadings_sd, motion.rate_hz / rate_hz, motion.ends)
+    return replace(motion, loadings_sd=loadings, rate_hz=rate_hz)
+
+
+def _part(motion: Motion, numbers: tuple[float, ...], setting: Setting) -> Motion:
+    start, stop = numbers
+    times = np.arange(len(motion.loadings_sd)) / motion.rate_hz
+    inside = (times >= start - 1e-9) & (times < stop - 1e-9)
+    if inside.sum() < 2:
+        raise BadInput(
+            f"from {start:g} s to {stop:g} s of {motion.name}, which lasts {motion.duration_s:g} s, there are "
+            f"{int(inside.sum())} frames: give a longer part"
+        )
+    return replace(motion, loadings_sd=motion.loadings_sd[inside], ends="open")
+
+
+def _timing(motion: Motion, numbers: tuple[float, ...], setting: Setting) -> Motion:
+    guide = setting.guide
+    if guide is None:
+        raise BadInput(
+            "timing takes the timing of another motion: give that table as the guide (--guide TABLE.csv)"
+        )
+    timing.check_same_components(motion.loadings_sd, guide.loadings_sd)
+    loadings = timing.timed_like(motion.loadings_sd, guide.loadings_sd, setting.weights)
+    return replace(motion, loadings_sd=loadings, rate_hz=guide.rate_hz, ends="open")
+
+
+def _reverse(motion: Motion, numbers: tuple[float, ...], setting: Setting) -> Motion:
+    return _changed(motion, timing.in_reverse(motion.loadings_sd))
+
+
+def _there_and_back(motion: Motion, numbers: tuple[float, ...], setting: Setting) -> Motion:
+    return replace(motion, loadings_sd=trajectory.there_and_back(motion.loadings_sd), ends="closed")
+
+
+def _loop(motion: Motion, numbers: tuple[float, ...], setting: Setting) -> Motion:
+    frames = _join_frames(numbers, motion.rate_hz, "loop")
+    return replace(
+        motion, loadings_sd=trajectory.looped(motion.loadings_sd, setting.weights, frames), ends="closed"
+    )
+
+
+def _scramble_frames(motion: Motion, numbers: tuple[float, ...], setting: Setting) -> Motion:
+    return _changed(motion, trajectory.scrambled_blocks(motion.loadings_sd, 1, setting.rng), "open")
+
+
+def _scramble_blocks(motion: Motion, numbers: tuple[float, ...], setting: Setting) -> Motion:
+    frames = _frames(numbers[0], motion.rate_hz, "scramble-blocks")
+    if not 1 <= frames < len(motion.loadings_sd):
+        raise BadInput(
+            f"blocks of {numbers[0]:g} s are {frames} of the {len(motion.loadings_sd)} frames of {motion.name}: give "
+            f"{1 / motion.rate_hz:g} s to {(len(motion.loadings_sd) - 1) / motion.rate_hz:g} s"
+        )
+    return _changed(motion, trajectory.scrambled_blocks(motion.loadings_sd, frames, setting.rng), "open")
+
+
+def _scramble_phase(motion: Motion, numbers: tuple[float, ...], setting: Setting) -> Motion:
+    return _changed(motion, trajectory.scrambled_phase(motion.loadings_sd, setting.rng))
+
+
+def _splice(motions: Sequence[Motion], numbers: tuple[float, ...], setting: Setting) -> Sequence[Motion]:
+    _check_alike(motions, "splice")
+    frames = _join_frames(numbers, motions[0].rate_hz, "splice")
+    joined = trajectory.spliced([motion.loadings_sd for motion in motions], setting.weights, frames)
+    return [Motion(_joined_name(motions), joined, motions[0].rate_hz)]
+
+
+def _average(motions: Sequence[Motion], numbers: tuple[float, ...], setting: Setting) -> Sequence[Motion]:
+    _check_alike(motions, "average")
+    mean = trajectory.averaged([motion.loadings_sd for motion in motions], setting.weights)
+    return [Motion(_joined_name(motions), mean, motions[0].rate_hz)]
+
+
+def _caricature(motions: Sequence[Motion], numbers: tuple[float, ...], setting: Setting) -> Sequence[Motion]:
+    if len(motions) > 1:
+        _check_alike(motions, "caricature")
+        mean = trajectory.averaged([motion.loadings_sd for motion in motions], setting.weights)
+    elif setting.guide is not None:
+        mean = setting.guide.loadings_sd
+        timing.check_same_components(motions[0].loadings_sd, mean)
+    else:
+        raise BadInput(
+            "caricature exaggerates how motions differ from their mean trajectory: give at least 2 tables, or a mean "
+            "trajectory as the guide (--guide TABLE.csv); `morphspace caricature` does it about the mean face"
+        )
+    return [
+        _changed(
+            motion, trajectory.caricatured(motion.loadings_sd, mean, numbers[0], setting.weights), "open"
+        )
+        for motion in motions
+    ]
+
+
+WORKS: Mapping[str, Work] = {
+    "smooth": _each(_smooth),
+    "speed": _each(_speed),
+    "rate": _each(_rate),
+    "part": _each(_part),
+    "timing": _each(_timing),
+    "reverse": _each(_reverse),
+    "loop": _each(_loop),
+    "there-and-back": _each(_there_and_back),
+    "splice": _splice,
+    "average": _average,
+    "caricature": _caricature,
+    "scramble-frames": _each(_scramble_frames),
+    "scramble-blocks": _each(_scramble_blocks),
+    "scramble-phase": _each(_scramble_phase),
+}
+
+
+def operations_of(given: Sequence[str | Mapping[str, Any]]) -> tuple[Operation, ...]:
+    """Read operations as a command line (`smooth=6`, `loop`) or a recipe (`{smooth: 6}`, `loop`) writes them.
+
+    Raises `BadInput` for a word that is none, naming the nearest, and for numbers that are missing, too many or none.
+    """
+    found = []
+    for one in given:
+        if isinstance(one, Mapping):
+            found += [_operation(str(word), value) for word, value in one.items()]
+        else:
+            word, equals, value = str(one).partition("=")
+            found.append(_operation(word.strip(), value.strip() if equals else None))
+    return tuple(found)
+
+
+def _operation(word: str, value: Any) -> Operation:
+    kind = WORDS.get(word)
+    if kind is None:
+        near = difflib.get_close_matches(word, WORDS, 1, 0.5)
+        hint = f"did you mean {WORDS[near[0]].form(near[0])}?" if near else f"choose from {', '.join(WORDS)}"
+        raise BadInput(f"{word!r} is no operation on a trajectory: {hint}")
+    if value is None or value == "":
+        parts: list[Any] = []
+    elif isinstance(value, list | tuple):
+        parts = list(value)
+    else:
+        parts = str(value).split(":")
+    numbers = tuple(_number(part, word, kind) for part in parts)
+    wanted = {"nothing": (0,), "number": (1,), "number or nothing": (0, 1), "span": (2,)}[kind.takes]
+    if len(numbers) not in wanted:
+        raise BadInput(f"{word} is given {len(numbers) or 'no'} numbers: write {kind.form(word)}")
+    return Operation(word, numbers)
+
+
+def _number(part: Any, word: str, kind: Word) -> float:
+    text = str(part).strip()
+    if isinstance(part, bool) or not NUMBER.fullmatch(text) or not np.isfinite(float(text)):
+        raise BadInput(f"{word} is given {text!r}, which is no number: write {kind.form(word)}")
+    return float(text)
+
+
+def worked(
+    motions: Sequence[Motion],
+    operations: Sequence[Operation],
+    weights: AnyArray,
+    guide: Motion | None = None,
+    seed: int = 0,
+) -> tuple[Motion, ...]:
+    """Do operations to motions, in their order, and give what is left: one, or as many as there were.
+
+    `weights` (k,) are the model's SD; each operation has random numbers of its own, fixed by `seed`. Raises `BadInput`.
+    """
+    found = list(motions)
+    for place, operation in enumerate(operations):
+        setting = Setting(weights, guide, np.random.default_rng([seed, place]))
+        found = list(WORKS[operation.word](found, operation.numbers, setting))
+    return tuple(found)
+
+
+def _changed(motion: Motion, loadings_sd: LoadingTable, ends: Ends | None = None) -> Motion:
+    return replace(motion, loadings_sd=loadings_sd, ends=ends or motion.ends)
+
+
+def _frames(seconds: float, rate_hz: float, word: str) -> int:
+    if not 0 <= seconds * rate_hz <= timing.MOST_FRAMES:
+        raise BadInput(f"{word} is given {seconds:g} s: give 0 to {timing.MOST_FRAMES / rate_hz:g}")
+    return round(seconds * rate_hz)
+
+
+def _join_frames(numbers: tuple[float, ...], rate_hz: float, word: str) -> int | None:
+    return _frames(numbers[0], rate_hz, word) if numbers else None
+
+
+def _check_alike(motions: Sequence[Motion], word: str) -> None:
+    """Raise `BadInput` where motions cannot be put together: there is one, or rates or components differ."""
+    if len(motions) < 2:
+        raise BadInput(
+            f"{word} puts several motions together, {len(motions)} is there: give at least 2 tables"
+        )
+    first = motions[0]
+    for motion in motions[1:]:
+        if abs(motion.rate_hz - first.rate_hz) > SAME_RATE * first.rate_hz:
+            raise BadInput(
+                f"{first.name} has {first.rate_hz:g} Hz, {motion.name} {motion.rate_hz:g} Hz: bring them to one frame "
+                f"rate first, with rate={first.rate_hz:g} before {word}"
+            )
+        timing.check_same_components(first.loadings_sd, motion.loadings_sd)
+
+
+def _joined_name(motions: Sequence[Motion]) -> str:
+    name = "-".join(motion.name for motion in motions)
+    return name if len(name) <= LONGEST_NAME else f"{motions[0].name}-and-{len(motions) - 1}-more"

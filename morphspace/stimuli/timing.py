@@ -1,0 +1,163 @@
+"""When a recorded motion shows what: its frames per second, its speed, its smoothness, and another's timing.
+
+A motion is a table of loadings (n, k), one row a frame. Every function but the filter reads it linearly between
+frames, so that a retimed motion stays on the recorded path. A path that bends between frames is no closer to the truth:
+of every second frame of five real clips, guessed from the others, cubic splines missed by -5 to +9 % more than straight
+lines, and monotone cubics by -11 to +2 %.
+"""
+
+from __future__ import annotations
+
+from typing import Literal, TypeAlias
+
+import numpy as np
+
+from morphspace.arrays import AnyArray, LoadingTable
+from morphspace.errors import BadInput
+from morphspace.imitation.alignment import BAND, align
+
+Ends: TypeAlias = Literal["open", "closed"]
+"""Whether a motion ends with its last frame, or goes on with its first one: a loop."""
+
+MOST_FRAMES = 100_000  # an hour at 25 Hz; a speed or rate that asks for more is a slip
+KERNEL_REACH_SD = 6.0  # and as many frames more: what lies beyond is below a millionth
+STEADY_SD_FRAMES = 2.0  # alignment goes by whole frames; without this, motion would stop and start with it
+TINY = 1e-9  # frames; rounding of n / speed
+
+
+def at_positions(loadings: LoadingTable, positions: AnyArray, ends: Ends = "open") -> LoadingTable:
+    """Read a motion (n, k) at positions (m,) in frames, linearly between frames: (m, k).
+
+    Beyond the ends of an open motion its first or last frame stays; a closed one goes round. A whole position gives the
+    frame itself, to the bit.
+    """
+    count = len(loadings)
+    positions = np.asarray(positions, np.float64)
+    if ends == "closed":
+        positions = np.mod(positions, count)
+    else:
+        positions = np.clip(positions, 0, count - 1)
+    before = np.minimum(np.floor(positions).astype(np.int64), count - 1)
+    after = (before + 1) % count if ends == "closed" else np.minimum(before + 1, count - 1)
+    share = (positions - before)[:, None]
+    there = loadings[before]
+    return np.asarray(np.where(share == 0, there, (1 - share) * there + share * loadings[after]), np.float64)
+
+
+def retimed(loadings: LoadingTable, speed: float, ends: Ends = "open") -> LoadingTable:
+    """Play a motion (n, k) so many times as fast: (m, k) on the same path.
+
+    An open motion is read every `speed` frames from its first on; what is left beyond the last such frame is less than
+    one of the new steps. A closed one stays a whole number of frames long, its speed rounded to that. Raises `BadInput`
+    for a speed that is not above 0, or at which fewer than 2 or more than 100,000 frames are left.
+    """
+    if not (np.isfinite(speed) and speed > 0):
+        raise BadInput(
+            f"a speed of {speed:g} times cannot be played: give a number above 0, such as 0.5 or 2; `reverse` plays "
+            "backwards"
+        )
+    length = len(loadings) if ends == "closed" else len(loadings) - 1
+    count = length / speed
+    if count > MOST_FRAMES:
+        raise BadInput(
+            f"{len(loadings)} frames at a speed of {speed:g} times become {count:.3g}, at most {MOST_FRAMES} are made: "
+            "give a higher speed"
+        )
+    if ends == "closed":
+        frames = round(count)
+        positions = np.arange(frames) * (length / max(frames, 1))
+    else:
+        frames = int(np.floor(count + TINY)) + 1
+        positions = np.minimum(np.arange(frames) * speed, length)
+    if frames < 2:
+        raise BadInput(
+            f"{len(loadings)} frames at a speed of {speed:g} times leave {max(frames, 0)}, a motion has at least 2: "
+            "give a lower speed"
+        )
+    return at_positions(loadings, positions, ends)
+
+
+def in_reverse(loadings: LoadingTable) -> LoadingTable:
+    """Play a motion (n, k) backwards."""
+    return np.ascontiguousarray(loadings[::-1])
+
+
+def smoothed(loadings: LoadingTable, cutoff_hz: float, rate_hz: float, ends: Ends = "open") -> LoadingTable:
+    """Take from a motion (n, k) at `rate_hz` what is faster than a cut-off (Hz), without delay: (n, k).
+
+    The discrete Gaussian of Lindeberg (IEEE PAMI 12, 1990), whose gain is exactly 1 / sqrt(2) at the cut-off; it never
+    overshoots. An open motion is continued beyond its ends by turning it about its end frames, which therefore stay, as
+    do constant and even motions. Raises `BadInput` for a cut-off that is not above 0 and below half the frame rate.
+    """
+    if not (np.isfinite(cutoff_hz) and cutoff_hz > 0):
+        raise BadInput(
+            f"a cut-off of {cutoff_hz:g} Hz cannot be used: give a number above 0, such as 6 for a face's motion"
+        )
+    if cutoff_hz >= rate_hz / 2:
+        raise BadInput(
+            f"a cut-off of {cutoff_hz:g} Hz is not below half the frame rate of {rate_hz:g} Hz, where there is nothing "
+            "to take away: lower it, or leave the smoothing out"
+        )
+    angle = 2 * np.pi * cutoff_hz / rate_hz
+    return _blurred(loadings, float(np.log(2) / 2 / (1 - np.cos(angle))), ends)
+
+
+def _blurred(values: AnyArray, variance: float, ends: Ends) -> AnyArray:
+    """Filter (n, k) along time with the discrete Gaussian of this variance, frames^2: gain exp(v (cos w - 1))."""
+    from scipy.special import ive
+
+    if len(values) < 2:
+        return np.array(values)
+    reach = int(np.ceil(KERNEL_REACH_SD * (np.sqrt(variance) + 1)))
+    kernel = ive(np.abs(np.arange(-reach, reach + 1)), variance)
+    kernel /= kernel.sum()
+    if ends == "closed":
+        index = np.mod(np.arange(-reach, len(values) + reach), len(values))
+        wide = values[index]
+    else:
+        wide = np.pad(values, ((reach, reach), (0, 0)), mode="reflect", reflect_type="odd")
+    out = np.empty_like(values, dtype=np.float64)
+    for column in range(values.shape[1]):
+        out[:, column] = np.convolve(wide[:, column], kernel, mode="valid")
+    return out
+
+
+def positions_like(
+    loadings: LoadingTable, guide: LoadingTable, weights: AnyArray, *, band: float = BAND
+) -> AnyArray:
+    """Give where in a motion (n, k) each frame of a guide (m, k) is found, (m,) frames, never going back.
+
+    The path is that of dynamic time warping (`imitation.alignment`), whose distances count each component by `weights`
+    (k,): the model's SD make them distances between faces. Frames that the path holds for several of the guide's are
+    given their mean place, and the whole is smoothed by a Gaussian of 2 frames that keeps the ends. (Ours.)
+    """
+    check_same_components(loadings, guide)
+    weighed, weighed_guide = (np.asarray(table[:, : len(weights)]) * weights for table in (loadings, guide))
+    path = align(weighed_guide, weighed, band=band).path
+    count = np.bincount(path[:, 0], minlength=len(guide))
+    place = np.bincount(path[:, 0], weights=path[:, 1], minlength=len(guide)) / count
+    ends = [0.0, len(loadings) - 1.0]
+    place[[0, -1]] = ends
+    steady = _blurred(place[:, None], STEADY_SD_FRAMES**2, "open")[:, 0]
+    steady[[0, -1]] = ends
+    return np.asarray(np.clip(np.maximum.accumulate(steady), ends[0], ends[1]))
+
+
+def timed_like(
+    loadings: LoadingTable, guide: LoadingTable, weights: AnyArray, *, band: float = BAND
+) -> LoadingTable:
+    """Give a motion (n, k) the timing of a guide (m, k): (m, k), what it shows when the guide shows the like.
+
+    Both are loadings of one model; see `positions_like`. The frames lie on the motion's own path.
+    """
+    return at_positions(loadings, positions_like(loadings, guide, weights, band=band))
+
+
+def check_same_components(one: LoadingTable, other: LoadingTable) -> None:
+    """Raise `BadInput` where two motions have different numbers of components, or one has no frames."""
+    if one.shape[1] != other.shape[1]:
+        raise BadInput(
+            f"one motion has {one.shape[1]} components, the other {other.shape[1]}: encode both with the same model"
+        )
+    if min(len(one), len(other)) < 1:
+        raise BadInput("a motion has no frames: give tables with at least one row")

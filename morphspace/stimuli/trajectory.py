@@ -1,0 +1,222 @@
+"""Recorded motion as data: joined, looped, averaged, caricatured, and scrambled for control conditions.
+
+A motion is a table of loadings (n, k), one row a frame; its timing is the business of `timing`. A step is the
+Euclidean distance between successive frames, each component counted by `weights` (k,); the model's SD make it the
+distance between faces that the model measures.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from itertools import pairwise
+
+import numpy as np
+
+from morphspace.arrays import AnyArray, LoadingTable
+from morphspace.errors import BadInput
+from morphspace.imitation.alignment import align
+from morphspace.stimuli.timing import MOST_FRAMES, at_positions, check_same_components, positions_like
+
+VELOCITY_FRAMES = 2  # over which the velocity at an end is taken; one step alone is mostly noise
+AVERAGING_ROUNDS = 10  # at most; the mean of real clips stands still after 3 to 6
+FADING_FRAMES = 2.0  # sd with which an end's velocity dies away in a join; it leads on by at most 1.2 steps
+STILL = 1e-6  # of the median step: a mean that moves less from round to round stands still
+LONGEST_BRIDGE = 10_000  # frames
+
+
+def step_lengths(loadings: LoadingTable, weights: AnyArray) -> AnyArray:
+    """Give the length of each step of a motion (n, k), (n - 1,)."""
+    return np.sqrt((np.diff(loadings * weights, axis=0) ** 2).sum(axis=1))
+
+
+def usual_step(tables: Sequence[LoadingTable], weights: AnyArray) -> float:
+    """Give the median step of motions; of the steps that move at all where most do not. 0 where nothing moves."""
+    steps = np.concatenate([step_lengths(table, weights) for table in tables])
+    if not steps.any():
+        return 0.0
+    median = float(np.median(steps))
+    return median if median > 0 else float(np.median(steps[steps > 0]))
+
+
+def bridge(
+    before: LoadingTable, after: LoadingTable, weights: AnyArray, most_step: float, frames: int | None = None
+) -> LoadingTable:
+    """Give the frames (m, k) that lead softly from the end of one motion (n, k) to the start of another.
+
+    A cubic from face to face, begun and ended with the velocities of both (shortened to `most_step`), which die away in
+    a few frames; no component goes further than it does in the motions. m is the least with which no step, those from
+    and to the motions included, is longer than `most_step`; or `frames`. Raises `BadInput` where that would take more
+    than 10,000 frames. (Ours.)
+    """
+    first, last = before[-1], after[0]
+    low = np.minimum(before.min(axis=0), after.min(axis=0))
+    high = np.maximum(before.max(axis=0), after.max(axis=0))
+    leaving = _velocity(before[-1 - VELOCITY_FRAMES :], weights, most_step)
+    arriving = _velocity(after[: 1 + VELOCITY_FRAMES], weights, most_step)
+    if frames is not None:
+        return np.clip(_between(first, last, leaving, arriving, frames), low, high)
+    distance = float(np.sqrt((((last - first) * weights) ** 2).sum()))
+    if distance == 0:
+        return np.zeros((0, before.shape[1]))
+    if most_step <= 0 or distance / most_step > LONGEST_BRIDGE:
+        raise BadInput(
+            f"the join spans {distance:.3g}, a usual step of these motions is {most_step:.3g}: so slow a join would "
+            "take more than "
+            f"{LONGEST_BRIDGE} frames; give its seconds, such as splice=0.5 or loop=0.5"
+        )
+    count = max(0, int(np.ceil(distance / most_step - 1e-9)) - 1)
+    while True:
+        between = np.clip(_between(first, last, leaving, arriving, count), low, high)
+        whole = np.concatenate([first[None], between, last[None]])
+        if step_lengths(whole, weights).max() <= most_step * (1 + 1e-9):
+            return between
+        count += 1
+
+
+def _velocity(end: LoadingTable, weights: AnyArray, most_step: float) -> AnyArray:
+    """Give the velocity (k,) a frame over a few frames, no longer than a step may be."""
+    if len(end) < 2:
+        return np.zeros(end.shape[1])
+    velocity = (end[-1] - end[0]) / (len(end) - 1)
+    length = float(np.sqrt(((velocity * weights) ** 2).sum()))
+    return np.asarray(velocity * (min(1.0, most_step / length) if length > 0 else 1.0))
+
+
+def _between(
+    first: AnyArray, last: AnyArray, leaving: AnyArray, arriving: AnyArray, count: int
+) -> LoadingTable:
+    """Give `count` frames evenly between two, (count, k), with these velocities (k,) a frame at the ends."""
+    u = (np.arange(1, count + 1) / (count + 1))[:, None]
+    to, back = u * (count + 1), (1 - u) * (count + 1)  # frames
+    return np.asarray(
+        first
+        + u**2 * (3 - 2 * u) * (last - first)
+        + to * (1 - u) ** 2 * np.exp(-0.5 * (to / FADING_FRAMES) ** 2) * leaving
+        - back * u**2 * np.exp(-0.5 * (back / FADING_FRAMES) ** 2) * arriving
+    )
+
+
+def spliced(
+    tables: Sequence[LoadingTable], weights: AnyArray, join_frames: int | None = None
+) -> LoadingTable:
+    """Play motions (n_i, k) one after the other, with soft joins between them; every frame of theirs stays.
+
+    A join is a `bridge` of no step longer than the median step of all, or of `join_frames`.
+    """
+    for table in tables[1:]:
+        check_same_components(tables[0], table)
+    most = usual_step(tables, weights)
+    parts = [tables[0]]
+    for before, after in pairwise(tables):
+        parts += [bridge(before, after, weights, most, join_frames), after]
+    return _bounded(np.concatenate(parts))
+
+
+def looped(loadings: LoadingTable, weights: AnyArray, join_frames: int | None = None) -> LoadingTable:
+    """Close a motion (n, k) to a loop: frames are added that lead from its last softly back to its first.
+
+    Without `join_frames`, no step of the way back is longer than the motion's median step, that from the last frame of
+    the result to the first included. Raises `BadInput` for fewer than 3 frames.
+    """
+    if len(loadings) < 3:
+        raise BadInput(f"a motion of {len(loadings)} frames cannot be looped: give at least 3")
+    most = usual_step([loadings], weights)
+    return _bounded(np.concatenate([loadings, bridge(loadings, loadings, weights, most, join_frames)]))
+
+
+def there_and_back(loadings: LoadingTable) -> LoadingTable:
+    """Close a motion (n, k) to a loop that plays it forwards, then backwards: (2 n - 2, k)."""
+    if len(loadings) < 2:
+        raise BadInput(f"a motion of {len(loadings)} frames cannot go there and back: give at least 2")
+    return np.concatenate([loadings, loadings[-2:0:-1]])
+
+
+def _bounded(loadings: LoadingTable) -> LoadingTable:
+    if len(loadings) > MOST_FRAMES:
+        raise BadInput(
+            f"the motion would have {len(loadings)} frames, at most {MOST_FRAMES} are made: give less"
+        )
+    return loadings
+
+
+def scrambled_blocks(loadings: LoadingTable, block_frames: int, rng: np.random.Generator) -> LoadingTable:
+    """Put blocks of so many frames (the last may be shorter) of a motion (n, k) in random order, never their own.
+
+    A control that keeps every face, and with longer blocks the motion inside them, and destroys the order. Raises
+    `BadInput` where there are fewer than 2 blocks.
+    """
+    starts = np.arange(0, len(loadings), max(block_frames, 1))
+    if block_frames < 1 or len(starts) < 2:
+        raise BadInput(
+            f"{len(loadings)} frames in blocks of {block_frames} cannot change places: give blocks of 1 to "
+            f"{len(loadings) - 1} frames"
+        )
+    order = rng.permutation(len(starts))
+    while (order == np.arange(len(starts))).all():
+        order = rng.permutation(len(starts))
+    return np.concatenate([loadings[start : start + block_frames] for start in starts[order]])
+
+
+def scrambled_phase(loadings: LoadingTable, rng: np.random.Generator) -> LoadingTable:
+    """Shift each frequency of a motion (n, k) by a random phase, the same for all components: (n, k).
+
+    A control that keeps the mean face, the amplitude of each component at each frequency, and how the components go
+    together (their covariances, at every lag round the clip), and destroys when things happen. Prichard and Theiler,
+    Generating surrogate data for time series with several simultaneously measured variables (Phys. Rev. Lett. 73,
+    1994). Raises `BadInput` for fewer than 3 frames, which have no phase to shift.
+    """
+    count = len(loadings)
+    if count < 3:
+        raise BadInput(f"a motion of {count} frames has no phases to scramble: give at least 3")
+    spectrum = np.fft.rfft(loadings, axis=0)
+    phases = rng.uniform(0, 2 * np.pi, len(spectrum))
+    phases[0] = 0.0  # the mean face
+    if count % 2 == 0:
+        phases[-1] = np.pi * rng.integers(2)  # at half the frame rate only the sign is free
+    return np.asarray(np.fft.irfft(spectrum * np.exp(1j * phases)[:, None], count, axis=0))
+
+
+def averaged(tables: Sequence[LoadingTable], weights: AnyArray) -> LoadingTable:
+    """Give the mean trajectory (m, k) of motions (n_i, k): the mean of what they show, at the mean of the times.
+
+    Each is aligned in time to the mean so far, beginning with the motion that is nearest to all others, until the mean
+    stands still (Petitjean, Ketterlin and Gancarski, Pattern Recognition 44, 2011); then each moment gets the mean of
+    its times in all of them (ours). The mean of a motion with itself is that motion.
+    """
+    for table in tables[1:]:
+        check_same_components(tables[0], table)
+    mean = tables[_nearest_to_all(tables, weights)]
+    still = STILL * usual_step(tables, weights)
+    for _ in range(AVERAGING_ROUNDS):
+        places = [positions_like(table, mean, weights) for table in tables]
+        before = mean
+        mean = np.mean(
+            [at_positions(table, place) for table, place in zip(tables, places, strict=True)], axis=0
+        )
+        if np.sqrt((((mean - before) * weights) ** 2).sum(axis=1)).max() <= still:
+            break
+    times = np.mean(places, axis=0)
+    wanted = np.linspace(0, times[-1], round(float(times[-1])) + 1)
+    return at_positions(mean, np.interp(wanted, times, np.arange(len(mean))))
+
+
+def _nearest_to_all(tables: Sequence[LoadingTable], weights: AnyArray) -> int:
+    """Give which motion has the least mean distance from the others along their alignments; the first of equals."""
+    far = np.zeros((len(tables), len(tables)))
+    for i, one in enumerate(tables):
+        for j, other in enumerate(tables[:i]):
+            found = align(one * weights, other * weights)
+            far[i, j] = far[j, i] = found.cost / len(found.path)
+    return int(far.sum(axis=1).argmin())
+
+
+def caricatured(loadings: LoadingTable, mean: LoadingTable, gain: float, weights: AnyArray) -> LoadingTable:
+    """Exaggerate how a motion (n, k) differs from a mean trajectory (m, k), which is aligned to its timing: (n, k).
+
+    Gain 1 is the motion itself, 0 the mean trajectory in the motion's own timing, above 1 a dynamic caricature, below 0
+    its opposite.
+    """
+    if not np.isfinite(gain):
+        raise BadInput(f"a gain of {gain} cannot be used: give a number, 1 for the motion as it is")
+    usual = at_positions(mean, positions_like(mean, loadings, weights))
+    return np.asarray(loadings + (gain - 1) * (loadings - usual))

@@ -1,0 +1,287 @@
+"""From a recipe to everything it will draw: requests, planned sets, names; all that can be refused is refused here.
+
+A job of a recipe is one request. Its drawings are named by the recipe's pattern, told which level of each factor
+they have, and kept with the words of the recipe rather than with paths of this machine, so that the same recipe
+gives the same bytes wherever it lies.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from morphspace.errors import BadInput
+from morphspace.files.clips import open_clip
+from morphspace.files.manifests import FIRST_COLUMNS, LAST_COLUMNS, Column
+from morphspace.files.placeholders import filled
+from morphspace.files.recipes import Job, Recipe
+from morphspace.model import MorphModel, load_model
+from morphspace.progress import Step, Steps
+from morphspace.stimuli.drawing import Drawing, check_name
+from morphspace.storage import digest_of_file, digest_of_json
+from morphspace.verbs.batch_folders import FolderJob
+from morphspace.verbs.batch_settings import request_of
+from morphspace.verbs.batch_verbs import VERBS, DrawingVerb, FolderVerb
+from morphspace.verbs.outcome import versions
+from morphspace.verbs.stimulus_set import PlannedSet, check_names, request_document
+from morphspace.verbs.stimulus_sources import file_names
+
+FOLDERS_TABLE = "folders.csv"
+NAMING_COLUMNS = ("name", "from", "to")  # of a verb's tables: they name its stimuli
+
+
+@dataclass(frozen=True, eq=False)
+class Planned:
+    """What a recipe makes: sets of drawings, and folders; `inputs` of the whole, name to SHA-256."""
+
+    sets: tuple[PlannedSet, ...]
+    folders: tuple[FolderJob, ...]
+    inputs: Mapping[str, str]
+
+    @property
+    def drawings(self) -> list[tuple[PlannedSet, Drawing]]:
+        """Give every drawing with the set it is of, in order."""
+        return [(planned, drawing) for planned in self.sets for drawing in planned.drawings]
+
+
+@dataclass
+class _Book:
+    """What a planning has seen so far: open models, whose name is whose, tables, how many drawings of `most`."""
+
+    models: dict[Path, MorphModel] = field(default_factory=dict)
+    names: dict[str, tuple[str, Job]] = field(default_factory=dict)
+    tables: set[str] = field(default_factory=set)
+    most: int | None = None
+    drawings: int = 0
+
+    def model(self, path: Path | None) -> MorphModel | None:
+        """Open a model once for all jobs."""
+        if path is None:
+            return None
+        if path not in self.models:
+            self.models[path] = load_model(path)
+        return self.models[path]
+
+    def take(self, name: str, job: Job, places: Iterable[str]) -> None:
+        """Note whose name it is. Raises `BadInput` where it is taken, capitals and small letters being the same."""
+        check_name(name)
+        if name.casefold() in self.names:
+            taken, other = self.names[name.casefold()]
+            whose = "this entry" if other is job else other.told
+            raise BadInput(
+                f"{job.told} makes a stimulus called {name!r}, and {whose} makes {taken!r}: put what tells "
+                f"them apart into the name; there are {', '.join(f'{{{place}}}' for place in places)}"
+            )
+        self.names[name.casefold()] = (name, job)
+
+    def table(self, name: str) -> str:
+        """Give a free name for a table called so."""
+        stem, suffix = Path(name).stem, Path(name).suffix
+        number = 1
+        while name.casefold() in self.tables:
+            number += 1
+            name = f"{stem}_{number}{suffix}"
+        self.tables.add(name.casefold())
+        return name
+
+
+def planned_recipe(recipe: Recipe, folder: Path, most: int | None) -> Steps[Planned]:
+    """Plan every job of the recipe for the folder. Draws nothing. A generator of steps.
+
+    Raises `BadInput` with the line of the recipe: for whatever a verb would refuse, for names that collide, and for
+    more than `most` stimuli.
+    """
+    _check_count(recipe.job_count, most, "jobs")
+    _check_sources(recipe)
+    book = _Book(most=most)
+    sets: list[PlannedSet] = []
+    folders: list[FolderJob] = []
+    inputs = {f"recipe {recipe.path.name}": digest_of_file(recipe.path)}
+    for done, job in enumerate(recipe.jobs(), start=1):
+        verb = VERBS[job.verb]
+        try:
+            if isinstance(verb, FolderVerb):
+                folders.append(_folder_job(job, verb, recipe, folder, book))
+            else:
+                sets.append((yield from _set_of(job, verb, recipe, folder, book)))
+                _note_inputs(sets[-1], inputs)
+        except BadInput as error:
+            words = str(error)
+            raise type(error)(words if job.where in words else f"{job.told}: {words}") from error
+        _check_count(book.drawings + len(folders), most, "stimuli")
+        yield Step("plan", done, recipe.job_count)
+    _check_folders(folders, book)
+    try:
+        check_names([name for name, _ in book.names.values()], (*book.tables, FOLDERS_TABLE))
+    except BadInput as error:
+        raise BadInput(f"{recipe.path}: {error}") from error
+    return Planned(tuple(sets), tuple(folders), inputs)
+
+
+def _check_count(count: int, most: int | None, what: str) -> None:
+    if most is not None and count > most:
+        found = f"{count:,}" if what == "jobs" else f"more than {most:,}"
+        raise BadInput(
+            f"the recipe makes {found} {what}: give --yes where that is meant (it is asked above {most:,}), "
+            "or cross fewer levels"
+        )
+
+
+def _check_sources(recipe: Recipe) -> None:
+    for name, words in recipe.sources.items():
+        if not _is_pattern(words) and not (recipe.path.parent / words).exists():
+            raise BadInput(
+                f"{recipe.source_lines[name]}: the source {name!r} is {words}, which is not there: paths "
+                "are taken from the recipe's folder"
+            )
+
+
+def _is_pattern(words: str) -> bool:
+    return any(mark in words for mark in "*?[")
+
+
+def _requests(
+    job: Job, verb: DrawingVerb | FolderVerb, recipe: Recipe, output: Path
+) -> tuple[Any, dict[str, Any]]:
+    """Give the request with paths that open, and the same as JSON with the recipe's own words for them."""
+
+    def opening(words: str) -> Path:
+        named, frame = _named(words, recipe)
+        path = recipe.path.parent / named
+        if not _is_pattern(named) and not path.exists():
+            raise BadInput(f"{job.told}: {named} is not there: paths are taken from the recipe's folder")
+        return path.with_name(path.name + frame)
+
+    def telling(words: str) -> Path:
+        return Path("".join(_named(words, recipe)))
+
+    request = request_of(job, verb.request, output, opening, verb.files)
+    return request, request_document(request_of(job, verb.request, output, telling, verb.files))
+
+
+def _named(words: str, recipe: Recipe) -> tuple[str, str]:
+    """Give the path that words of a recipe mean, a source's or their own, and `:FRAME` where they end in one."""
+    if words in recipe.sources or ":" not in words:
+        return recipe.sources.get(words, words), ""
+    head, _, frame = words.rpartition(":")
+    if head in recipe.sources or (recipe.path.parent / head).exists():
+        return recipe.sources.get(head, head), f":{frame}"
+    return words, ""
+
+
+def _set_of(job: Job, verb: DrawingVerb, recipe: Recipe, folder: Path, book: _Book) -> Steps[PlannedSet]:
+    request, told = _requests(job, verb, recipe, folder)
+    _check_count(book.drawings + verb.asked(request), book.most, "stimuli")
+    planned = yield from verb.plan(request, book.model(getattr(request, "model", None)))
+    book.drawings += len(planned.drawings)
+    columns = dict(planned.columns)
+    drawings, names = [], {}
+    for index, drawing in enumerate(planned.drawings):
+        places = {"name": drawing.name, "index": index, "verb": job.verb, **drawing.told, **job.known}
+        name = _name(job, places)
+        book.take(name, job, places)
+        names[drawing.name] = name
+        added = _level_columns(job.levels, drawing.told)
+        columns |= {key: Column(f"Level of the factor {factor}") for key, factor in added.items()}
+        levels = {key: job.levels[factor] for key, factor in added.items()}
+        drawings.append(dataclasses.replace(drawing, name=name, told={**levels, **drawing.told}))
+    return dataclasses.replace(
+        planned,
+        request=told,
+        drawings=tuple(drawings),
+        columns=columns,
+        tables=_own_tables(job, planned.tables, names, book),
+    )
+
+
+def _name(job: Job, places: Mapping[str, Any]) -> str:
+    """Give a name: the recipe's pattern filled, or a folder of the levels and the verb's own name for the stimulus."""
+    if job.name is None:
+        folder = _levels_word(job)
+        return "/".join(part for part in (folder, str(places.get("name", ""))) if part)
+    words = {
+        key: file_names([value])[0] if isinstance(value, str) else value for key, value in places.items()
+    }
+    return str(filled(job.name, words))
+
+
+def _levels_word(job: Job) -> str:
+    """Give the levels of a job as one word, in the manner of Psych-DS: identity-ann_gain-0.5."""
+    levels = "_".join(f"{factor}-{level}" for factor, level in job.levels.items())
+    return file_names([levels])[0] if levels else ""
+
+
+def _level_columns(levels: Mapping[str, Any], told: Mapping[str, Any]) -> dict[str, str]:
+    """Give the factor that each added column of the manifest tells; one that the verb tells alike needs no column."""
+    columns = {}
+    for factor, level in levels.items():
+        if factor in FIRST_COLUMNS or factor in LAST_COLUMNS or told.get(factor, level) != level:
+            columns[f"factor_{factor}"] = factor
+        elif factor not in told:
+            columns[factor] = factor
+    return columns
+
+
+def _own_tables(
+    job: Job, tables: Mapping[str, Mapping[str, Sequence[Any]]], names: Mapping[str, str], book: _Book
+) -> dict[str, dict[str, Sequence[Any]]]:
+    """Give a job's tables under names of their own, and in them the names the stimuli have now."""
+    own = {}
+    for name, table in tables.items():
+        word = _levels_word(job)
+        path = Path(name)
+        key = book.table(f"{path.stem}_{word}{path.suffix}" if word else name)
+        own[key] = {
+            column: [names.get(one, one) for one in cells] if column in NAMING_COLUMNS else cells
+            for column, cells in table.items()
+        }
+    return own
+
+
+def _note_inputs(planned: PlannedSet, inputs: dict[str, str]) -> None:
+    """Add a set's inputs to those of the whole, each under its role and the recipe's word for it."""
+    for role, digest in planned.inputs.items():
+        words = planned.request.get(role.partition("/")[0])
+        key = f"{role} {words}" if isinstance(words, str) else role
+        number, free = 1, key
+        while inputs.setdefault(free, digest) != digest:
+            number += 1
+            free = f"{key} ({number})"
+
+
+def _folder_job(job: Job, verb: FolderVerb, recipe: Recipe, folder: Path, book: _Book) -> FolderJob:
+    places = {"verb": job.verb, **job.known}
+    name = _name(job, places) or job.verb
+    book.take(name, job, places)
+    request, told = _requests(job, verb, recipe, folder / name)
+    verb.check(request)
+    digests = {
+        setting: _digest(getattr(request, setting))
+        for setting in verb.files
+        if getattr(request, setting) is not None
+    }
+    made_from = digest_of_json([job.verb, told, digests, versions()])
+    return FolderJob(name, job.verb, request, told, job.levels, made_from)
+
+
+def _digest(given: str) -> Any:
+    """Give what identifies a file, or the frames of a clip."""
+    path = Path(given)
+    return digest_of_file(path) if path.is_file() else list(open_clip([given]).digests())
+
+
+def _check_folders(folders: Sequence[FolderJob], book: _Book) -> None:
+    """Raise `BadInput` where a stimulus or another folder would lie inside a folder that a verb fills by itself."""
+    owners = {job.name.casefold(): job.verb for job in folders}
+    for name, (shown, job) in book.names.items():
+        parts = name.split("/")
+        for depth in range(1, len(parts)):
+            owner = owners.get("/".join(parts[:depth]))
+            if owner is not None:
+                raise BadInput(
+                    f"{job.told} makes {shown!r} inside a folder that {owner} fills by itself: give one of them "
+                    "another name"
+                )

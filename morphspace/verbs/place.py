@@ -1,0 +1,111 @@
+"""place: rendered faces put back into the frames they came from; hair, background and size of the picture stay."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from morphspace import warp
+from morphspace.arrays import AnyArray
+from morphspace.files.framed import FramedClip
+from morphspace.files.tables import read_loadings_table
+from morphspace.model import MorphModel, load_model
+from morphspace.progress import Step, Steps, in_order
+from morphspace.stimuli.caricature import caricatured
+from morphspace.stimuli.drawing import Drawing, Placing
+from morphspace.verbs.encoding import framed_for, notes_on_alignment, notes_on_enlarging
+from morphspace.verbs.kept_answers import digest_of_kept, encoded_clip
+from morphspace.verbs.outcome import Outcome
+from morphspace.verbs.stimulus_set import PlannedSet, plan_of, write_set
+from morphspace.verbs.stimulus_sources import FRAME_RATE_HZ, Faces, check_frames, check_rate
+from morphspace.verbs.table_checks import check_reach, check_table
+
+
+@dataclass(frozen=True)
+class PlaceRequest:
+    """Put faces of `model` back into the frames of `clip`, inside the model's feathered mask, into `output`.
+
+    The faces are those of the frames themselves, or the rows of `loadings` that are called like the frames; all times
+    `gain`. `frames` names the ones to draw, none for all; `video` is .mp4 or .mkv for one motion at `frame_rate_hz`.
+    """
+
+    model: Path
+    clip: tuple[str, ...]
+    output: Path
+    loadings: Path | None = None
+    gain: float = 1.0
+    frames: tuple[str, ...] = ()
+    video: str | None = None
+    frame_rate_hz: float | None = None
+    crop: tuple[int, int, int, int] | None = None
+
+
+def run(request: PlaceRequest) -> Steps[Outcome]:
+    """Write the set of stimuli. Returns an `Outcome`."""
+    planned = yield from plan(request)
+    return (yield from write_set(planned, request.output))
+
+
+def plan(request: PlaceRequest, model: MorphModel | None = None) -> Steps[PlannedSet]:
+    """Read, align and check everything, draw nothing; `model` where it is open already. Returns a `PlannedSet`."""
+    model = model or load_model(request.model)
+    check_rate(request.frame_rate_hz)
+    source = framed_for(model, request.clip, request.crop)
+    inputs, notes = {}, notes_on_enlarging(source.framing, model.identity) + notes_on_alignment(model)
+    if request.loadings is None:
+        source = _chosen(source, request.frames or source.names)
+        loadings, registrations = yield from encoded_clip(model, source)
+        loadings_sd = loadings.in_sd(model)
+    else:
+        table = read_loadings_table(request.loadings)
+        notes = check_table(model, table, request.loadings) + notes
+        wanted = request.frames or table.frame_names
+        check_frames(wanted, table.frame_names, str(request.loadings))
+        source = _chosen(source, wanted)
+        rows = [table.frame_names.index(name) for name in source.names]
+        loadings_sd = np.asarray(table.loadings_sd[rows])
+        registrations = yield from _aligned(model, source)
+        inputs["loadings"] = digest_of_kept(request.loadings)
+    loadings_sd = caricatured(loadings_sd, request.gain)
+    check_reach(loadings_sd, source.names, request.loadings or Path(source.clip.name))
+    digests = source.file_digests
+    inputs |= {f"clip/{name}": digest for name, digest in zip(source.names, digests, strict=True)}
+    rate = request.frame_rate_hz or source.clip.sidecar.frame_rate_hz
+    rate = rate or model.provenance.get("frame_rate_hz") or FRAME_RATE_HZ
+    faces = Faces(source.clip.name, source.names, loadings_sd, float(rate), inputs)
+    drawings = [
+        Drawing(
+            name,
+            loadings_sd[rows],
+            frame_rate_hz=None if request.video is None else faces.frame_rate_hz,
+            suffix=request.video or ".png",
+            placing=Placing(source.names[rows], digests[rows], registrations[rows], request.clip),
+            told={
+                "gain": float(request.gain),
+                "original": source.names[rows][0] if request.video is None else name,
+            },
+        )
+        for name, rows in faces.stimuli(request.video)
+    ]
+    return plan_of(request, "place", model, drawings, inputs=inputs, notes=notes)
+
+
+def _chosen(source: FramedClip, frames: tuple[str, ...]) -> FramedClip:
+    """Give the clip of these frames, in its own order. Raises `BadInput` where one is not there."""
+    check_frames(frames, source.names, source.clip.name)
+    wanted = set(frames)
+    places = [place for place, name in enumerate(source.names) if name in wanted]
+    return replace(source, clip=source.clip.subset(places))
+
+
+def _aligned(model: MorphModel, source: FramedClip) -> Steps[AnyArray]:
+    """Give where the faces are in their frames, (n, 2, 3), without reading their expressions."""
+    registrations: list[AnyArray] = []
+    indices = list(range(len(source.names)))
+    items = zip(source.names, source.images(indices), strict=True)
+    for frame in in_order(lambda item: model.align(item[1], item[0]), items):
+        registrations.append(warp.chain_affine(source.to_source, frame.registration))
+        yield Step("align", len(registrations), len(indices))
+    return np.stack(registrations)
