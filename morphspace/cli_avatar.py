@@ -74,8 +74,8 @@ OPTIONS = (
         type=CountOrAll(),
         default=40,
         show_default=True,
-        help="How many expressions of each identity (three identities: three times so many), spread out over what it can "
-        "show; all: every training frame.",
+        help="How many of each identity, so that three give three times so many; spread out over what each can show. "
+        "all: every training frame.",
     ),
     click.option(
         "--method",

@@ -85,7 +85,7 @@ def test_a_face_becomes_another_by_how_much_its_colours_change(added, expected):
 
 
 def glasses():
-    """A face (60, 200, 3) with a fine line across it and next to nothing else that is fine, and one without the line."""
+    """A face (60, 200, 3) with a fine line and next to nothing else that is fine, after one without the line."""
     bare, worn = (np.tile(0.5 + 0.02 * (skin(seed) - 0.5), (1, 4, 1)) for seed in (2, 9))
     worn[30, 40:160] -= np.float32(0.3)
     return bare, worn

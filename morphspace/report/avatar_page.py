@@ -90,8 +90,8 @@ def _whose(shown: AvatarShown) -> Html:
     if shown.surround in shown.identities:
         words = (
             f"{shown.surround}'s alone, at any weight. People know a person by hair, ears and the outline of the head "
-            f"too, so that to the eye the blend is nearer to {shown.surround} than the weights say. --surround flat puts "
-            f"grey there, --surround NAME another person's. {inside}"
+            f"too, so that to the eye the blend is nearer to {shown.surround} than the weights say. --surround flat "
+            f"puts grey there, --surround NAME another person's. {inside}"
         )
     else:
         words = f"Nobody's: what surrounds the face is flat grey. {inside}"

@@ -251,11 +251,11 @@ def _outcome(
     lines = (
         f"{request.output}: {model.identity}, blended of {shares}; {len(avatar.expressions)} expressions, "
         f"{model.size[0]}x{model.size[1]}, {model.rank} components",
-        f"laid on {avatar.identities[avatar.reference_identity]}, hair and background of "
+        f"laid on {avatar.identities[avatar.reference_identity]}; hair, ears, neck and background of "
         + ("nobody (flat grey)" if avatar.surround is None else avatar.identities[avatar.surround])
         + f"; in {left_out} expressions somebody is left out",
-        f"{drawn} of the sources' sharpness as the model draws it; the pictures it was built from: {plain}, sharpened "
-        f"by {avatar.sharpen:.2f} {pictures}",
+        f"sharpness, against the sources': {drawn} as the model draws it; its pictures {plain} plain, {pictures} "
+        f"sharpened by {avatar.sharpen:.2f}",
         f"report: {report}",
     )
     document = {
