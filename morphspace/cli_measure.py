@@ -9,11 +9,11 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from morphspace.cli_mimic import FACES_MISSING
-
 if TYPE_CHECKING:
     from morphspace.progress import Steps
     from morphspace.verbs.outcome import Outcome
+
+FACES_MISSING = 3  # exit code: all was done, but some frames show no face
 
 OPTIONS = (
     click.argument("stimulus"),

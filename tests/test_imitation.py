@@ -139,6 +139,7 @@ def test_an_offset_changes_distances_and_not_what_is_centred():
     assert (moved["distance_sd"] > plain["distance_sd"]).all()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["correlation_p", "distance_sd_p"])
 def test_independent_motions_have_uniform_p_values(name):
     p = all_p_of_chance()[name]
@@ -147,6 +148,7 @@ def test_independent_motions_have_uniform_p_values(name):
     assert (p <= 0.1).mean() < 0.16  # 0.1 and two standard errors of 200 draws
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["correlation_at_lag_p", "correlation_aligned_p"])
 def test_independent_motions_are_seldom_called_imitations_after_a_search(name):
     """The larger of two p is a little larger than uniform."""

@@ -387,6 +387,7 @@ def test_a_damaged_model_is_not_written_again(saved):
             "turn the face upright",
             "--negate-y,",
         ),
+        ("aside.tps", [(20, -30), (90, -30), (30, -58)], ["--negate-y"], "give points in its", "--negate-y"),
         ("below.csv", [(20, -30), (41, -30), (30, -58)], [], "give --negate-y", "--on reference"),
     ],
 )

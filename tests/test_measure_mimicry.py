@@ -35,6 +35,7 @@ from morphspace.verbs.measure_mimicry import MeasureMimicryRequest, of_height
 from morphspace.verbs.motions import name_of_table, region_mask
 
 FRAMES = 24
+FACE = np.array([1.0])  # what a detector gives for a face; only that it is something is looked at here
 
 
 def motion(frames=FRAMES, seed=0):
@@ -560,6 +561,15 @@ def test_a_clip_of_another_person_is_said_to_be_one_unless_their_model_is_given(
     assert carried.document["outside_space"]["imitation"] is None
     assert rows(work)["distance_centred_sd"][-1] < 0.5 * far
     assert rows(work)["correlation"][-1] > 0.8
+    calls = []
+
+    def faceless(image):  # a face in the mean alone
+        calls.append(image)
+        return FACE if len(calls) == 1 else None
+
+    unseen = measured(work, *given, detector=faceless)
+    assert "show no face" in unseen.warnings[0]
+    assert not any("another person" in note for note in unseen.warnings)  # nor of anybody
     with_stimulus = measured(work, given[1], given[0])
     assert with_stimulus.warnings[0].startswith("the stimulus b is evidently of another person")
 
@@ -663,9 +673,6 @@ def test_bad_input_is_named_and_nothing_is_written(work, model, what):
     assert not (work / "out").exists()
 
 
-FACE = np.array([1.0])  # what a detector gives for a face; only that it is something is looked at here
-
-
 def test_frames_without_a_face_are_named(work, model):
     given = clip(work, "clip", 0.5 * motion(6), model, 20), table(work, "b", 0.5 * motion(6, 1), model)
     seen = [read_image(path) for path in sorted((work / "clip").glob("*.png"))]
@@ -689,7 +696,8 @@ def test_frames_without_a_face_are_named(work, model):
     assert outcome.document["frames_without_face"]["stimulus"] == []
 
 
-def test_why_faces_were_not_looked_for_is_said(work, model):
+def test_why_faces_were_not_looked_for_is_said(work, model, tmp_path, monkeypatch):
+    monkeypatch.setenv("MORPHSPACE_MODELS", str(tmp_path / "none"))
     given = clip(work, "clip", 0.5 * motion(6), model, 20), table(work, "b", 0.5 * motion(6, 1), model)
     without = measured(work, *given)
     assert any(
@@ -739,6 +747,13 @@ def test_files_that_are_not_ours_are_not_written_over(work, model, name):
     ):
         measured(work, given, given)
     assert {path.name: path.read_text() for path in (work / "out").iterdir()} == {name: '{"verb": "mimic"}'}
+
+
+def test_nothing_is_written_among_the_frames_of_a_clip(work, model):
+    given = clip(work, "out", 0.5 * motion(4), model), table(work, "b", 0.5 * motion(4, 1), model)
+    with pytest.raises(BadInput, match="out is one of the two clips: choose another output folder"):
+        measured(work, *given)
+    assert {path.suffix for path in (work / "out").iterdir()} == {".png"}
 
 
 def test_files_under_other_names_stay_beside_ours(work, model):

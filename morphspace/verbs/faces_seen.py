@@ -17,11 +17,12 @@ from morphspace.verbs.motions import Motion
 class FacesSeen:
     """The frames of a motion in which no face was found, by name; None where they were not looked at, or are a table's.
 
-    `notes` say what to know of it.
+    `is_all` says that it is all of them; `notes` what to know of it.
     """
 
     without: tuple[str, ...] | None
     notes: tuple[str, ...] = ()
+    is_all: bool = False
 
     @property
     def count(self) -> int:
@@ -62,7 +63,7 @@ def look_for_faces(
         if found is None:
             missing.append(source.frame_names[place])
         yield Step(f"look at {source.name}", place + 1, total)
-    return FacesSeen(tuple(missing), _words(role, source.name, missing, total))
+    return FacesSeen(tuple(missing), _words(role, source.name, missing, total), len(missing) == total)
 
 
 def _words(role: str, name: str, missing: Sequence[str], total: int) -> tuple[str, ...]:

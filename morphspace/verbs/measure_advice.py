@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
+
 import numpy as np
 
 from morphspace.arrays import AnyArray, LoadingTable
@@ -33,8 +35,13 @@ def mean_apart(a_sd: LoadingTable, b_sd: LoadingTable, imitation: Motion, notes:
     return np.asarray(apart)
 
 
-def strange_words(stimulus: Motion, imitation: Motion, model: MorphModel) -> list[str]:
-    """Say of each clip that is evidently not of the model's person, camera and light, what to do about it."""
+def strange_words(
+    stimulus: Motion, imitation: Motion, model: MorphModel, faceless: Collection[str]
+) -> list[str]:
+    """Say of each clip that is evidently not of the model's person, camera and light, what to do about it.
+
+    Nothing of a role that is `faceless`, whose frames show no face at all.
+    """
     words = []
     for role, source, cure in (
         ("stimulus", stimulus, "give the stimulus' own model as --model"),
@@ -44,7 +51,7 @@ def strange_words(stimulus: Motion, imitation: Motion, model: MorphModel) -> lis
             "build a model of who imitates, give it keypoints (morphspace keypoints), and name it with --imitator",
         ),
     ):
-        if source.is_strange:
+        if source.is_strange and role not in faceless:
             words.append(
                 f"the {role} {source.name} is evidently of another person, day or camera than {model.identity}: its "
                 f"frames lie {source.outside:.1f} times the model's variance outside its space (about 0.2 where they "

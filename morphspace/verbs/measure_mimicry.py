@@ -98,6 +98,11 @@ def run(request: MeasureMimicryRequest, detector: Detector | None = None) -> Ste
     kept = [Path(given) for given in (request.stimulus, request.imitation)]
     for name in WRITTEN:
         check_file(folder / name, Path(name).suffix, kept)
+    for path in kept:
+        if path.is_dir() and folder.resolve() == path.resolve():
+            raise BadInput(
+                f"the output folder {folder} is one of the two clips: choose another output folder"
+            )
     check_ours(folder, VERB, WRITTEN)
     with no_empty_folders(folder, ()), _mark_of(folder):
         return (yield from _steps(request, model, folder, detector or own_detector()))
@@ -143,8 +148,9 @@ def _steps(
     )
     still = still_words(a_sd, b_sd)
     unseen = [note for seen in faces.values() for note in seen.notes]
+    nowhere = [role for role, seen in faces.items() if seen.is_all]
     faceless = sum(seen.count for seen in faces.values())
-    notes[:0] = [*(unseen if faceless else ()), *strange_words(stimulus, imitation, model)]
+    notes[:0] = [*(unseen if faceless else ()), *strange_words(stimulus, imitation, model, nowhere)]
     notes += still_components_words(a_sd, b_sd) + size_words(a_sd * model.sd[:k], b_sd * model.sd[:k])
     moved = mean_apart(a_sd, b_sd, imitation, notes)
     if not still:

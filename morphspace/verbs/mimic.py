@@ -265,7 +265,7 @@ def _check_early(request: MimicRequest, opened: Sequence[UsedModel | Clip], dete
         if isinstance(given, Clip):
             check_apart(request.output, given.paths)
             check_faces(role, given, request.output / MODELS_FOLDER, request.components, detect)
-        elif request.method == "guided":
+        if request.method == "guided":
             check_landmarks(given)
     if request.frames is not None and any(isinstance(given, Clip) for given in opened):
         check_apart(request.output, open_clip([request.frames]).paths)

@@ -22,6 +22,7 @@ from morphspace.facepoints import FacePoints
 from morphspace.files.clips import VIDEO_SUFFIXES, Clip, open_clip
 from morphspace.flow import methods
 from morphspace.keypoints import detect_faceframe, how_to_learn, with_detected
+from morphspace.landmarks import LEAST_FACES
 from morphspace.mimic import offset_of
 from morphspace.model import MorphModel, load_model
 from morphspace.modelfile import check_content
@@ -131,9 +132,17 @@ def check_apart(output: Path, inputs: Sequence[Path]) -> None:
             )
 
 
-def check_landmarks(used: UsedModel) -> None:
-    """Raise `BadInput` with what helps where a model that is to guide does not know its landmarks."""
-    if used.model.landmarks is None:
+def check_landmarks(used: UsedModel | Clip) -> None:
+    """Raise `BadInput` with what helps where a model that is to guide does not know its landmarks, or cannot learn
+    them.
+    """
+    if isinstance(used, Clip):
+        if len(used) < LEAST_FACES:
+            raise BadInput(
+                f"--method guided needs landmarks, and the {len(used)} frames of {used.name} are too few to learn them "
+                f"from: give at least {LEAST_FACES}, or choose another method"
+            )
+    elif used.model.landmarks is None:
         raise BadInput(
             f"--method guided needs landmarks, and {used.path} does not know them: "
             f"{how_to_learn(used.model, str(used.path))}, or choose another method"
