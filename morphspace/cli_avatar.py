@@ -8,27 +8,11 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from morphspace.cli_words import BUILD_REPORT, COMPONENTS, WeightOrAuto, flow_option, work_option
+from morphspace.cli_words import BUILD_REPORT, COMPONENTS, NumberList, WeightOrAuto, flow_option, work_option
 
 if TYPE_CHECKING:
     from morphspace.progress import Steps
     from morphspace.verbs.outcome import Outcome
-
-
-class Weights(click.ParamType):  # type: ignore[type-arg]
-    """Numbers with commas between, such as 1,1,2."""
-
-    name = "W,W,..."
-
-    def convert(
-        self, value: Any, param: click.Parameter | None, ctx: click.Context | None
-    ) -> tuple[float, ...]:
-        if isinstance(value, tuple):
-            return value
-        try:
-            return tuple(float(word) for word in value.split(","))
-        except ValueError:
-            self.fail(f"{value!r} is not a list of numbers: write one a model, such as 1,1,2")
 
 
 class CountOrAll(click.ParamType):  # type: ignore[type-arg]
@@ -53,7 +37,7 @@ OPTIONS = (
     ),
     click.option(
         "--weights",
-        type=Weights(),
+        type=NumberList("W,W,...", "one a model, such as 1,1,2"),
         help="How much of each identity, in the order of the models [default: the same of all].",
     ),
     click.option(

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from morphspace.cli_words import CROP
+from morphspace.cli_words import CROP, NumberList
 from morphspace.stimuli.motion_words import WORDS
 
 if TYPE_CHECKING:
@@ -19,23 +19,6 @@ if TYPE_CHECKING:
 
 HELP_WIDTH = 96  # of a help page of 100
 SPACINGS = ("loadings", "warp", "ciede2000", "ssim")  # those of `stimuli.continuum`, which is slow to import
-
-
-class Positions(click.ParamType):  # type: ignore[type-arg]
-    """Numbers with commas between, such as 0,0.25,1."""
-
-    name = "P,P,..."
-
-    def convert(
-        self, value: Any, param: click.Parameter | None, ctx: click.Context | None
-    ) -> tuple[float, ...]:
-        if isinstance(value, tuple):
-            return value
-        try:
-            return tuple(float(word) for word in value.split(","))
-        except ValueError:
-            self.fail(f"{value!r} is not a list of numbers: write positions, such as 0,0.25,0.5,1")
-
 
 TRAJECTORY_OPTIONS = (
     click.argument("model", type=click.Path(path_type=Path)),
@@ -105,7 +88,7 @@ CONTINUUM_OPTIONS = (
     click.option(
         "--at",
         "positions",
-        type=Positions(),
+        type=NumberList("P,P,...", "positions, such as 0,0.25,0.5,1"),
         help="Positions instead of equal steps: 0 is A, 1 is B, beyond them the difference goes on.",
     ),
     click.option(

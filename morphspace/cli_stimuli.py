@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from morphspace.cli_words import CROP, FRAME_RATE, MODEL, OUTPUT_FOLDER, Gains
+from morphspace.cli_words import CROP, FRAME_RATE, MODEL, OUTPUT_FOLDER, NumberList
 
 if TYPE_CHECKING:
     from morphspace.progress import Steps
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 DIFFERS = 3  # exit code of replay: it was drawn again, and is not the same
 PATH = click.Path(path_type=Path)
-GAINS = Gains()
+GAINS = NumberList("G,G,...", "them with commas, such as 0.5,1,1.5,-1")
 LOADINGS = click.option(
     "--loadings", type=PATH, metavar="TABLE.csv", help="The faces: rows of a table of loadings."
 )

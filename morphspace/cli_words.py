@@ -54,10 +54,11 @@ class WeightOrAuto(click.ParamType):  # type: ignore[type-arg]
             self.fail(f"{value!r} is neither auto nor a number")
 
 
-class Gains(click.ParamType):  # type: ignore[type-arg]
-    """Numbers separated by commas, such as 0.5,1,1.5,-1."""
+class NumberList(click.ParamType):  # type: ignore[type-arg]
+    """Numbers with commas between: `name` as help shows them, `meant` what to write instead of what cannot be read."""
 
-    name = "G,G,..."
+    def __init__(self, name: str, meant: str) -> None:
+        self.name, self.meant = name, meant
 
     def convert(
         self, value: Any, param: click.Parameter | None, ctx: click.Context | None
@@ -67,7 +68,7 @@ class Gains(click.ParamType):  # type: ignore[type-arg]
         try:
             return tuple(float(word) for word in value.split(","))
         except ValueError:
-            self.fail(f"{value!r} is not a list of numbers: write them with commas, such as 0.5,1,1.5,-1")
+            self.fail(f"{value!r} is not a list of numbers: write {self.meant}")
 
 
 MODEL = click.argument("model", type=click.Path(path_type=Path))

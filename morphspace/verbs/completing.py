@@ -17,8 +17,8 @@ from morphspace.imagestats import FIGURES, SPACES
 from morphspace.report.figures import small
 from morphspace.report.set_page import CLIPPED_PERCENT, FOLDED_PERCENT, SetShown, places_shown, set_page
 from morphspace.stimuli.drawing import PICTURE_SUFFIXES, VIDEO_SUFFIXES, Drawing
-from morphspace.storage import digest_of_file, json_text, write_text
-from morphspace.verbs.outcome import RECORD_NAME, Outcome, versions
+from morphspace.storage import digest_of_file, write_text
+from morphspace.verbs.outcome import RECORD_NAME, Outcome, versions, write_record_of
 
 if TYPE_CHECKING:
     from morphspace.verbs.stimulus_set import PlannedSet
@@ -245,15 +245,4 @@ def _write_record(
 ) -> Path:
     """Write the record; the digests of stimuli are known, those of the set's own files are taken."""
     outputs = {path.relative_to(folder).as_posix(): digest_of_file(path) for path in written}
-    record = {
-        "format": "morphspace-record",
-        "version": 1,
-        "verb": verb,
-        "settings": dict(settings),
-        "inputs": dict(inputs),
-        "outputs": {**made, **outputs},
-        "versions": versions(),
-    }
-    path = folder / RECORD_NAME
-    write_text(path, json_text(record))
-    return path
+    return write_record_of(folder / RECORD_NAME, verb, settings, inputs, {**made, **outputs})

@@ -141,15 +141,26 @@ def write_record(
     name: str = RECORD_NAME,
 ) -> Path:
     """Write a record into the folder: verb, settings, inputs (name to digest), outputs and versions."""
+    digests = {path.relative_to(folder).as_posix(): digest_of_file(path) for path in sorted(outputs)}
+    return write_record_of(folder / name, verb, settings, inputs, digests)
+
+
+def write_record_of(
+    path: Path,
+    verb: str,
+    settings: Mapping[str, Any],
+    inputs: Mapping[str, str],
+    digests: Mapping[str, str],
+) -> Path:
+    """Write a record as `write_record` does, of outputs whose digests are known (path from the folder to digest)."""
     record = {
         "format": "morphspace-record",
         "version": 1,
         "verb": verb,
         "settings": dict(settings),
         "inputs": dict(inputs),
-        "outputs": {path.relative_to(folder).as_posix(): digest_of_file(path) for path in sorted(outputs)},
+        "outputs": dict(digests),
         "versions": versions(),
     }
-    path = folder / name
     write_text(path, json_text(record))
     return path
