@@ -199,14 +199,11 @@ def build_steps(
         provenance=full_provenance,
     )
     warnings = _warnings(source, choice, model)
-    if settings.finder is not None and model.rank > 0:
+    if settings.finder is not None and faceframe is None and model.rank > 0:
         try:
-            found_on_mean = yield from detect_faceframe(model, settings.finder.find)
+            model = with_detected(model, (yield from detect_faceframe(model, settings.finder.find)))
         except BadInput as error:
-            lacks = "no keypoints" if faceframe is None else "no landmarks"
-            warnings += (f"the model has {lacks}: {error}",)
-        else:
-            model = with_detected(model, found_on_mean)
+            warnings += (f"the model has no keypoints: {error}",)
     return Build(
         model=model,
         choice=choice,

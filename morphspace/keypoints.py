@@ -287,15 +287,8 @@ def detect_faceframe(
 
 
 def with_detected(model: MorphModel, found: DetectedFaceframe) -> MorphModel:
-    """Give the model with the faceframe that was found, where it came from, and what was learned of its landmarks.
-
-    A faceframe that the model has, marked by hand in its clip, stays.
-    """
-    faceframe, origin = found.faceframe, found.origin
-    if model.faceframe is not None:
-        faceframe = model.faceframe
-        origin = {key: value for key, value in origin.items() if key != "spread_px"} | {"source": "clip"}
-    return model.with_faceframe(faceframe, origin).with_landmarks(found.landmarks)
+    """Give the model with the faceframe that was found, where it came from, and what was learned of its landmarks."""
+    return model.with_faceframe(found.faceframe, found.origin).with_landmarks(found.landmarks)
 
 
 def moved_by_components(model: MorphModel, points: Points) -> AnyArray:

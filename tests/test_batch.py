@@ -400,7 +400,13 @@ def test_what_fails_in_a_process_is_told_in_one_line_and_ends_the_batch(lab, tmp
 def command(path, output):
     words = [sys.executable, "-m", "morphspace", "batch", path, "-o", output, "--workers", "2", "--quiet"]
     return subprocess.Popen(
-        [str(word) for word in words], cwd=ROOT, stderr=subprocess.PIPE, text=True, start_new_session=True
+        [str(word) for word in words],
+        cwd=ROOT,
+        stderr=subprocess.PIPE,
+        text=True,
+        start_new_session=True,
+        # A shell starts what runs in its background deaf to Ctrl-C, and the tests may run there.
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
     )
 
 

@@ -150,14 +150,6 @@ def test_detections_in_training_faces_teach_the_landmarks(model, taught):
     assert taught.model_id == model.model_id and taught.provenance["keypoints"]["source"] == "auto"
 
 
-def test_a_faceframe_marked_by_hand_stays_and_the_landmarks_are_learned_all_the_same(model, taught):
-    marked = model.with_faceframe(FaceFrame((20.0, 30.0), (40.0, 30.0), (30.0, 45.0)))
-    learned = with_detected(marked, result_of(detect_faceframe(marked, mesh_of(model))))
-    assert_array_equal(learned.faceframe.points, marked.faceframe.points)
-    assert_array_equal(learned.landmarks.weights, taught.landmarks.weights)
-    assert learned.provenance["keypoints"]["source"] == "clip"
-
-
 def test_the_file_keeps_the_landmarks_and_old_files_have_none(model, taught, tmp_path):
     taught.save(tmp_path / "taught.morph")
     model.save(tmp_path / "old.morph")

@@ -1,6 +1,7 @@
 """trajectory and continuum as they are called: tables in, sets of stimuli out, bad input in one line."""
 
 import json
+import shutil
 from dataclasses import replace
 
 import numpy as np
@@ -22,6 +23,7 @@ from morphspace.stimuli import stepping, timing, trajectory
 from morphspace.stimuli.continuum import SPACINGS
 from morphspace.stimuli.motion_words import GUIDED, WORDS
 from morphspace.stimuli.operations import WORKS, Motion, Operation, operations_of, worked
+from morphspace.verbs import batch
 from morphspace.verbs import continuum as continuum_verb
 from morphspace.verbs import trajectory as trajectory_verb
 from morphspace.verbs.continuum import ContinuumRequest
@@ -249,6 +251,7 @@ def test_a_mean_trajectory_that_was_kept_serves_as_the_guide(files, tmp_path):
         ({"operations": ("loop=1:2",)}, r"loop\[=S\]"),
         ({"operations": ("lop",)}, r"did you mean loop"),
         ({"operations": ("smooth=5",)}, "half the frame rate"),
+        ({"operations": ("reverse", "smooth=1e-7")}, "^smooth=1e-07: a cut-off of 1e-07 Hz is too low"),
         ({"operations": ("timing",)}, "--guide"),
         ({"operations": ("caricature=2",)}, "at least 2 tables"),
         ({"operations": ("reverse",), "guide": "frown.csv"}, "no operation takes one"),
@@ -391,6 +394,27 @@ def test_the_model_of_another_pair_is_not_replaced(files, tmp_path):
     with pytest.raises(BadInput, match="in the way"):
         run(ContinuumRequest(str(files / "ann.morph"), str(files / "bob.morph"), out, steps=2))
     assert (out / "ann-bob.morph").read_bytes() == kept
+
+
+def test_two_pairs_of_models_of_one_name_are_kept_apart_in_a_batch(files, tmp_path):
+    for folder, name in (("a", "ann"), ("b", "bob"), ("c", "ann")):
+        (tmp_path / folder).mkdir()
+        shutil.copy(files / f"{name}.morph", tmp_path / folder / "model.morph")
+    text = "format: morphspace-recipe\nversion: 1\nfactors: {way: {ab: [a, b], ba: [b, c]}}\nstimuli:\n"
+    text = text.replace("[a, b]", "{first: a/model.morph, last: b/model.morph}")
+    text = text.replace("[b, c]", "{first: b/model.morph, last: c/model.morph}")
+    text += '  - {verb: continuum, first: "{way.first}", last: "{way.last}", steps: 1, control: none}\n'
+    (tmp_path / "recipe.yaml").write_text(text)
+    out = tmp_path / "out"
+    for _ in range(2):  # what is there is gone on with
+        result_of(batch.run(batch.BatchRequest(tmp_path / "recipe.yaml", out, workers=1)))
+        names = set()
+        for sidecar in sorted(out.rglob("step_*.json")):
+            told = json.loads(sidecar.read_text())["model"]
+            assert load_model(out / told["file"]).model_id == told["model_id"]
+            names.add(told["file"])
+        assert names == {path.name for path in out.glob("*.morph")}
+        assert len(names) == 2
 
 
 @pytest.mark.parametrize(

@@ -269,6 +269,15 @@ def test_gain_1_is_the_motion_and_gain_0_the_mean_in_its_timing():
     assert_allclose(half - usual, 1.5 * (table - usual), atol=1e-12)
 
 
+@pytest.mark.parametrize("frames", [2, 60])
+def test_the_least_cut_off_that_is_named_can_be_used_and_keeps_even_motion(frames):
+    even = np.linspace(0, 1, frames)[:, None] * [1.0, -2.0]
+    with pytest.raises(BadInput, match="give at least") as caught:
+        timing.smoothed(even, 1e-5, RATE_HZ)
+    least = float(str(caught.value).rpartition(" ")[2])
+    assert_allclose(timing.smoothed(even, least, RATE_HZ), even, atol=1e-9)
+
+
 @pytest.mark.parametrize(
     ("work", "said"),
     [
@@ -279,6 +288,8 @@ def test_gain_1_is_the_motion_and_gain_0_the_mean_in_its_timing():
         (lambda t: timing.retimed(t[:1], 2.0), "at least 2"),
         (lambda t: timing.smoothed(t, 12.5, RATE_HZ), "half the frame rate"),
         (lambda t: timing.smoothed(t, 0.0, RATE_HZ), "above 0"),
+        (lambda t: timing.smoothed(t, 1e-9, RATE_HZ), "give at least"),
+        (lambda t: timing.smoothed(np.repeat(t, 1000, 0), 0.00001, RATE_HZ), "give at least"),
         (lambda t: timing.timed_like(t, t[:, :2], WEIGHTS[:2]), "3 components, the other 2"),
         (lambda t: trajectory.looped(t[:2], WEIGHTS), "at least 3"),
         (
@@ -290,6 +301,7 @@ def test_gain_1_is_the_motion_and_gain_0_the_mean_in_its_timing():
         (lambda t: trajectory.scrambled_blocks(t, 0, np.random.default_rng(0)), "blocks of 0"),
         (lambda t: trajectory.scrambled_phase(t[:2], np.random.default_rng(0)), "no phases"),
         (lambda t: trajectory.caricatured(t, t, float("inf"), WEIGHTS), "gain of inf"),
+        (lambda t: trajectory.caricatured(t, t, 1e300, WEIGHTS), "gain of 1e[+]300.*-1000 to 1000"),
         (lambda t: trajectory.averaged([t, t[:, :2]], WEIGHTS), "same model"),
     ],
 )

@@ -49,8 +49,8 @@ def write_loadings_table(
     all.
 
     The JSON gets `format`, `version`, `unit`, `frame_count` and `component_count` beside what `document`
-    holds. Raises `BadInput` (another suffix than `.csv`, shapes that disagree, repeated names, values that
-    are not finite) and `UnwritableFile`.
+    holds; a `frame_rate_hz` of None is left out. Raises `BadInput` (another suffix than `.csv`, shapes that
+    disagree, repeated names, values that are not finite) and `UnwritableFile`.
     """
     path = _csv_path(path)
     loadings = np.asarray(loadings_sd, np.float64)
@@ -75,7 +75,8 @@ def write_loadings_table(
         "component_count": loadings.shape[1],
     }
     write_text(path, _csv_text(headings, rows))
-    write_text(path.with_suffix(".json"), json_text({**document, **ours}))
+    told = {key: value for key, value in document.items() if key != "frame_rate_hz" or value is not None}
+    write_text(path.with_suffix(".json"), json_text({**told, **ours}))
 
 
 def read_loadings_table(path: str | Path) -> LoadingsTable:

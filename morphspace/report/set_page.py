@@ -23,7 +23,7 @@ from morphspace.report.style import STYLE
 SHOWN_AT_MOST = 96  # pictures of a sheet: some 10 kB each
 CLIPPED_PERCENT = 0.1  # of the colour values; fewer are the overshoot of a sharp edge
 FOLDED_PERCENT = (
-    0.5  # of the face: no training face of five recordings folds at all, and from here on it can be seen
+    0.2  # of the face: no training face of five recordings folds at all, and .4 has been seen as a crease
 )
 SHEET_COLUMNS, MOST_COLUMNS = 8, 12  # of the sheet
 NAMED_AT_MOST = 3  # stimuli named in one plot

@@ -247,12 +247,18 @@ def worked(
 ) -> tuple[Motion, ...]:
     """Do operations to motions, in their order, and give what is left: one, or as many as there were.
 
-    `weights` (k,) are the model's SD; each operation has random numbers of its own, fixed by `seed`. Raises `BadInput`.
+    `weights` (k,) are the model's SD; each operation has random numbers of its own, fixed by `seed`. Raises `BadInput`
+    that opens with the operation.
     """
     found = list(motions)
     for place, operation in enumerate(operations):
         setting = Setting(weights, guide, np.random.default_rng([seed, place]))
-        found = list(WORKS[operation.word](found, operation.numbers, setting))
+        try:
+            found = list(WORKS[operation.word](found, operation.numbers, setting))
+        except BadInput as error:
+            raise type(error)(f"{operation}: {error}") from error
+        if not all(np.isfinite(motion.loadings_sd).all() for motion in found):
+            raise BadInput(f"{operation} gives loadings that are no numbers any more: give smaller gains")
     return tuple(found)
 
 

@@ -16,6 +16,7 @@ from morphspace.arrays import AnyArray, LoadingTable
 from morphspace.model import MorphModel
 
 PLAUSIBLE_SD = 3.0  # one training value in 370 lies further out, were they normal
+TOLERANCE = 0.01  # a training face that is encoded again comes back within it
 
 
 @dataclass(frozen=True)
@@ -43,7 +44,7 @@ def plausibility(limits_sd: AnyArray, tables_sd: Iterable[LoadingTable]) -> Plau
     largest = values.max(axis=0, initial=0)
     place = int(largest.argmax()) if largest.size else 0
     rms = np.sqrt((values * values).mean(axis=1)).max(initial=0) if values.size else 0.0
-    beyond = np.flatnonzero(largest > limits_sd[: len(largest)] * (1 + 1e-9))
+    beyond = np.flatnonzero(largest > limits_sd[: len(largest)] * (1 + TOLERANCE))
     return Plausibility(
         float(largest[place]) if largest.size else 0.0,
         place + 1,

@@ -21,6 +21,9 @@ Ends: TypeAlias = Literal["open", "closed"]
 
 MOST_FRAMES = 100_000  # an hour at 25 Hz; a speed or rate that asks for more is a slip
 KERNEL_REACH_SD = 6.0  # and as many frames more: what lies beyond is below a millionth
+LARGEST_KERNEL_SD = (
+    10_000  # frames; and no more than the motion has: beyond, little of it but an even drift is left
+)
 STEADY_SD_FRAMES = 2.0  # alignment goes by whole frames; without this, motion would stop and start with it
 TINY = 1e-9  # frames; rounding of n / speed
 
@@ -87,7 +90,8 @@ def smoothed(loadings: LoadingTable, cutoff_hz: float, rate_hz: float, ends: End
 
     The discrete Gaussian of Lindeberg (IEEE PAMI 12, 1990), whose gain is exactly 1 / sqrt(2) at the cut-off; it never
     overshoots. An open motion is continued beyond its ends by turning it about its end frames, which therefore stay, as
-    do constant and even motions. Raises `BadInput` for a cut-off that is not above 0 and below half the frame rate.
+    do constant and even motions. Raises `BadInput` for a cut-off that is not above 0 and below half the frame rate, or
+    so low that the Gaussian's sd would be longer than the motion (or 10,000 frames).
     """
     if not (np.isfinite(cutoff_hz) and cutoff_hz > 0):
         raise BadInput(
@@ -97,6 +101,13 @@ def smoothed(loadings: LoadingTable, cutoff_hz: float, rate_hz: float, ends: End
         raise BadInput(
             f"a cut-off of {cutoff_hz:g} Hz is not below half the frame rate of {rate_hz:g} Hz, where there is nothing "
             "to take away: lower it, or leave the smoothing out"
+        )
+    largest_sd = min(max(len(loadings), 1), LARGEST_KERNEL_SD)
+    least_hz = float(np.arccos(1 - np.log(2) / 2 / largest_sd**2)) * rate_hz / (2 * np.pi)
+    if cutoff_hz < least_hz:
+        raise BadInput(
+            f"a cut-off of {cutoff_hz:g} Hz is too low for {len(loadings)} frames at {rate_hz:g} Hz, of which next to "
+            f"nothing would be left: give at least {np.ceil(least_hz * 1e4) / 1e4:g}"
         )
     angle = 2 * np.pi * cutoff_hz / rate_hz
     return _blurred(loadings, float(np.log(2) / 2 / (1 - np.cos(angle))), ends)

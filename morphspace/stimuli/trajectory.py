@@ -21,6 +21,7 @@ VELOCITY_FRAMES = 2  # over which the velocity at an end is taken; one step alon
 AVERAGING_ROUNDS = 10  # at most; the mean of real clips stands still after 3 to 6
 FADING_FRAMES = 2.0  # sd with which an end's velocity dies away in a join; it leads on by at most 1.2 steps
 STILL = 1e-6  # of the median step: a mean that moves less from round to round stands still
+LARGEST_GAIN = 1000.0  # either way; more than any face can be drawn with
 LONGEST_BRIDGE = 10_000  # frames
 
 
@@ -214,9 +215,11 @@ def caricatured(loadings: LoadingTable, mean: LoadingTable, gain: float, weights
     """Exaggerate how a motion (n, k) differs from a mean trajectory (m, k), which is aligned to its timing: (n, k).
 
     Gain 1 is the motion itself, 0 the mean trajectory in the motion's own timing, above 1 a dynamic caricature, below 0
-    its opposite.
+    its opposite. Raises `BadInput` for a gain beyond +-1000.
     """
-    if not np.isfinite(gain):
-        raise BadInput(f"a gain of {gain} cannot be used: give a number, 1 for the motion as it is")
+    if not abs(gain) <= LARGEST_GAIN:
+        raise BadInput(
+            f"a gain of {gain:g} cannot be used: give {-LARGEST_GAIN:g} to {LARGEST_GAIN:g}, 1 for the motion as it is"
+        )
     usual = at_positions(mean, positions_like(mean, loadings, weights))
     return np.asarray(loadings + (gain - 1) * (loadings - usual))

@@ -26,10 +26,11 @@ from morphspace.verbs.batch_folders import FolderJob
 from morphspace.verbs.batch_settings import request_of
 from morphspace.verbs.batch_verbs import VERBS, DrawingVerb, FolderVerb
 from morphspace.verbs.outcome import versions
-from morphspace.verbs.stimulus_set import PlannedSet, check_names, request_document
+from morphspace.verbs.stimulus_set import PlannedSet, check_kept_model, check_names, request_document
 from morphspace.verbs.stimulus_sources import file_names
 
 FOLDERS_TABLE = "folders.csv"
+ID_DIGITS = 8  # of a model's id, where they tell models of one name apart
 NAMING_COLUMNS = ("name", "from", "to")  # of a verb's tables: they name its stimuli
 
 
@@ -118,7 +119,27 @@ def planned_recipe(recipe: Recipe, folder: Path, most: int | None) -> Steps[Plan
         check_names([name for name, _ in book.names.values()], (*book.tables, FOLDERS_TABLE))
     except BadInput as error:
         raise BadInput(f"{recipe.path}: {error}") from error
-    return Planned(tuple(sets), tuple(folders), inputs)
+    return Planned(_with_own_models(sets), tuple(folders), inputs)
+
+
+def _with_own_models(sets: Sequence[PlannedSet]) -> tuple[PlannedSet, ...]:
+    """Name the models that verbs have built so that no two of them are called alike: by their ids where they would be.
+
+    Raises `BadInput` where the folder has another model of that name.
+    """
+    called: dict[str, set[str]] = {}
+    for one in sets:
+        if one.new_model:
+            called.setdefault(one.model_path.name.casefold(), set()).add(one.model.model_id)
+    named = []
+    for one in sets:
+        path = one.model_path
+        if one.new_model and len(called[path.name.casefold()]) > 1:
+            path = path.with_name(f"{path.stem}_{one.model.model_id[:ID_DIGITS]}{path.suffix}")
+        if one.new_model:
+            check_kept_model(one.model, path)
+        named.append(dataclasses.replace(one, model_path=path))
+    return tuple(named)
 
 
 def _check_count(count: int, most: int | None, what: str) -> None:

@@ -235,6 +235,10 @@ def _found_lines(build: Build) -> tuple[str, ...]:
         lines += (f"crop {box}: around the head, found in {told['found']} of {told['frames']} frames",)
     if build.faces_found is not None:
         keypoints = "set" if build.model.faceframe is not None else "not set"
+        if build.model.faceframe is not None and build.model.landmarks is None:
+            keypoints += (
+                " as marked, landmarks not learned: `morphspace keypoints MODEL --auto` sets and learns both"
+            )
         lines += (
             f"face found in {int(build.faces_found.sum())} of {len(build.faces_found)} frames; keypoints {keypoints}",
         )

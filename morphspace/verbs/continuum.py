@@ -40,7 +40,7 @@ from morphspace.storage import digest_of_file
 from morphspace.verbs.encoding import STRANGE, encoded_frames, energy_outside, framed_for, notes_on_alignment
 from morphspace.verbs.kept_answers import digest_of_kept
 from morphspace.verbs.outcome import Outcome, versions
-from morphspace.verbs.stimulus_set import PlannedSet, check_kept_model, request_document, write_set
+from morphspace.verbs.stimulus_set import PlannedSet, request_document, write_set
 from morphspace.verbs.stimulus_sources import LISTED, file_names
 from morphspace.verbs.table_checks import check_table
 
@@ -105,7 +105,8 @@ def run(request: ContinuumRequest) -> Steps[Outcome]:
 def plan(request: ContinuumRequest, model: MorphModel | None = None) -> Steps[PlannedSet]:
     """Read and check everything, space the steps and measure them; `model` where it is open already.
 
-    The model of a pair is to lie in the output folder: `keep_model` puts it there. Returns a `PlannedSet`.
+    The model of a pair is to lie in the output folder: `keep_model` puts it there, unless another is in the way; a
+    batch may name it otherwise. Returns a `PlannedSet`.
     """
     if request.spacing not in SPACINGS:
         raise BadInput(f"steps cannot be equal in {request.spacing!r}: choose from {', '.join(SPACINGS)}")
@@ -341,7 +342,6 @@ def _ends_of_pair(request: ContinuumRequest) -> Steps[_Ends]:
     yield Step("pair", 1, 1)
     first, last = np.asarray(pair.training.values)
     path = request.output / ("-".join(file_names([one.stem for one in paths])) + MODEL_SUFFIX)
-    check_kept_model(pair, path)
     with tempfile.TemporaryDirectory(prefix="morphspace-") as folder:
         pair.save(Path(folder) / path.name)
         digest = digest_of_file(Path(folder) / path.name)
