@@ -44,7 +44,8 @@ def add_batch(group: click.Group, verb: Callable[[Callable[..., Any]], Callable[
         from morphspace.verbs import batch as verb_module
         from morphspace.verbs.outcome import Outcome
 
-        most = None if is_meant else verb_module.MOST_UNASKED
+        unasked = verb_module.MOST_PLANNED if is_plan else verb_module.MOST_UNASKED
+        most = None if is_meant else unasked
         planned = yield from verb_module.plan(verb_module.BatchRequest(recipe, output, workers, most))
         estimate = verb_module.estimated(planned)
         lines = planned.lines(estimate)

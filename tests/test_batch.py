@@ -262,6 +262,12 @@ def test_a_recipe_that_would_fail_is_refused_before_anything_is_drawn(old, new, 
     refused(recipe(lab, CROSSED.replace(old, new)), tmp_path / "out", "recipe.yaml", *words)
 
 
+def test_a_value_of_another_kind_is_told_with_one_line_of_the_recipe(lab, tmp_path):
+    with pytest.raises(BadInput) as caught:
+        made(recipe(lab, CROSSED.replace("-1.5]", "x]")), tmp_path / "out")
+    assert str(caught.value).count("recipe.yaml line") == 1
+
+
 def test_a_million_stimuli_are_asked_for_before_anything_is_opened(lab, tmp_path):
     many = ", ".join(map(str, range(1, 1001)))
     text = HEAD + f"factors: {{identity: [{many}], gain: [{many}]}}\nstimuli:\n"
@@ -364,6 +370,18 @@ def test_the_plan_is_told_and_nothing_is_made(lab, tmp_path):
     assert (told["stimuli"], told["frames"], told["folders"]) == (24, 24, 0)
     size = sum(len(data) for name, data in tree_of(lab, tmp_path).items() if "/" in name)
     assert told["bytes"] == pytest.approx(size, rel=0.3)
+
+
+def test_a_plan_of_more_than_is_made_unasked_is_told(lab, tmp_path, monkeypatch):
+    monkeypatch.setattr(batch, "MOST_UNASKED", 20)
+    words = ["batch", recipe(lab, CROSSED), "-o", tmp_path / "out"]
+    result = run(*words, "--plan")
+    assert result.exit_code == 0 and "24 pictures" in result.stdout and "kB" in result.stdout
+    assert "more than 20: they are made only with --yes" in result.stdout
+    assert json.loads(run(*words, "--plan", "--json").stdout)["needs_yes"]
+    assert run(*words).exit_code == 2 and not (tmp_path / "out").exists()
+    monkeypatch.setattr(batch, "MOST_PLANNED", 22)
+    assert "more than 22" in run(*words, "--plan").output
 
 
 def tree_of(lab, tmp_path):

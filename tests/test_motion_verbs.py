@@ -1,6 +1,7 @@
 """trajectory and continuum as they are called: tables in, sets of stimuli out, bad input in one line."""
 
 import json
+import re
 import shutil
 from dataclasses import replace
 
@@ -415,6 +416,12 @@ def test_two_pairs_of_models_of_one_name_are_kept_apart_in_a_batch(files, tmp_pa
             names.add(told["file"])
         assert names == {path.name for path in out.glob("*.morph")}
         assert len(names) == 2
+
+
+def test_a_loop_that_jumps_is_told_in_few_digits(files, tmp_path):
+    request = TrajectoryRequest(files / "ann.morph", (files / "frown.csv",), tmp_path, ("loop=0",))
+    (note,) = result_of(trajectory_verb.plan(request)).notes
+    assert re.search(r"jumps by \d(\.\d{1,2})? median steps where the loop closes", note), note
 
 
 @pytest.mark.parametrize(

@@ -7,16 +7,18 @@ import re
 from functools import cache
 from pathlib import Path
 
+import click
 import jsonschema
 import pytest
 
+from morphspace.cli import main
 from morphspace.errors import BadInput
 from morphspace.files.manifests import FIRST_COLUMNS, LAST_COLUMNS, TOLD_COLUMNS
 from morphspace.files.recipe_text import read_yaml
 from morphspace.files.recipes import KEYS, read_recipe
 from morphspace.progress import result_of
 from morphspace.verbs import sample
-from morphspace.verbs.batch_settings import WrongKind, converted, kinds_of, required_of
+from morphspace.verbs.batch_settings import WrongKind, converted, kinds_of, required_of, worded
 from morphspace.verbs.batch_verbs import SETTINGS, VERBS
 from morphspace.verbs.sample import SampleRequest
 
@@ -56,6 +58,43 @@ def test_schema_page_and_code_have_the_same_verbs_and_entries():
     assert schema["properties"]["stimuli"]["items"]["properties"]["verb"]["enum"] == list(VERBS)
     for word in (*KEYS, *VERBS):
         assert f"`{word}`" in page_of("recipe")
+
+
+def settings_on_the_command_line(verb):
+    """Give for each setting of a verb how the command line calls it, None where it does not ask for it."""
+    asked = {one.name: one for one in main.get_command(click.Context(main), verb).params}
+    words = dict.fromkeys(SETTINGS[verb])
+    for name in words.keys() & asked.keys():
+        one = asked[name]
+        option = isinstance(one, click.Option)
+        words[name] = max(one.opts, key=len) if option else (one.metavar or one.name.upper()).rstrip(".")
+    return words
+
+
+def settings_table():
+    rows = ["| verb | setting | on the command line | value |", "|---|---|---|---|"]
+    for verb, entry in VERBS.items():
+        for name, words in settings_on_the_command_line(verb).items():
+            needed = " (required)" if name in required_of(entry.request) else ""
+            spoken = f"`{words}`" if words else ""
+            rows.append(f"| {verb} | `{name}`{needed} | {spoken} | {worded(kinds_of(entry.request)[name])} |")
+    return "\n".join(rows)
+
+
+def test_the_page_has_every_setting_of_every_verb():
+    assert settings_table() in page_of("recipe"), settings_table()
+
+
+def test_the_words_of_the_command_line_lead_to_the_settings(tmp_path):
+    for verb in VERBS:
+        for name, words in settings_on_the_command_line(verb).items():
+            word = (words or name).lstrip("-").lower().replace("-", "_")
+            if word in SETTINGS[verb]:
+                continue
+            text = f"format: morphspace-recipe\nversion: 1\nstimuli:\n  - {{verb: {verb}, {word}: 1}}\n"
+            (tmp_path / "a.yaml").write_text(text)
+            with pytest.raises(BadInput, match=f"(did you mean|the nearest is) '{name}'"):
+                read_recipe(tmp_path / "a.yaml", SETTINGS)
 
 
 SAMPLES = [

@@ -8,12 +8,15 @@ import pytest
 
 from morphspace.errors import BadInput
 from morphspace.faces import FaceFrame
+from morphspace.progress import result_of
 from morphspace.stimuli.caricature import caricatured, components_named
 from morphspace.stimuli.drawing import Drawing, Placing, check_name, drawing_of
 from morphspace.stimuli.drawn import draw, mask_of, morph_at
 from morphspace.stimuli.plausibility import plausibility, plausible_limits_sd
 from morphspace.stimuli.regions import REGIONS, region_mask
 from morphspace.stimuli.sampling import drawn_sd
+from morphspace.verbs import sample
+from morphspace.verbs.completing import notes_on
 
 LOADINGS = np.array([[1.0, -0.5, 0.3], [0.2, 0.1, -2.0]])
 
@@ -201,3 +204,23 @@ def test_drawings_that_do_not_fit_together_are_refused(entries, said):
 def test_more_loadings_than_components_are_refused(model):
     with pytest.raises(BadInput, match=r"4 loadings .* 3 components"):
         only(model, Drawing("a", np.zeros((1, 4))))
+
+
+@pytest.mark.parametrize(
+    ("verb", "clipped", "folded"),
+    [
+        ("caricature", "lower the gain", "look at them, or lower the gain"),
+        ("sweep", "use fewer SD", "look at them, or use fewer SD"),
+        ("continuum", "look at them", "look at them"),
+    ],
+)
+def test_what_is_advised_is_something_the_verb_has(verb, clipped, folded):
+    row = {"name": "a", "verb": verb, "beyond": "", "outlier_in": "", "largest_sd": 1.0}
+    notes = notes_on([{**row, "clipped_percent": 3.0, "folded_percent": 2.0}])
+    assert [note.rpartition(": ")[2] for note in notes] == [clipped, folded]
+
+
+def test_a_bound_that_is_no_number_is_refused(model, tmp_path):
+    request = sample.SampleRequest(tmp_path / "a.morph", tmp_path, max_sd=float("nan"))
+    with pytest.raises(BadInput, match="nan is no number"):
+        result_of(sample.plan(request, model))

@@ -27,6 +27,7 @@ from morphspace.verbs.caricature import CaricatureRequest
 from morphspace.verbs.completing import flagged, notes_on
 from morphspace.verbs.encode import write_loadings
 from morphspace.verbs.grid import GridRequest
+from morphspace.verbs.outcome import versions
 from morphspace.verbs.place import PlaceRequest
 from morphspace.verbs.render import RenderRequest
 from morphspace.verbs.replay import ReplayRequest
@@ -393,3 +394,242 @@ def test_a_page_shows_every_stimulus_and_loads_nothing(any_set):
     for row in rows_of(any_set):
         assert row["name"] in page
     assert "http" not in page.replace("http-equiv", "") and "<script" not in page
+
+
+@pytest.mark.parametrize("name", ["loadings", "manifest", "steps"])
+def test_an_input_is_never_written_over(folder, tmp_path, name):
+    for suffix in (".csv", ".json"):
+        (tmp_path / f"{name}{suffix}").write_bytes((folder / f"t{suffix}").read_bytes())
+    before = bytes_of(tmp_path)
+    request = CaricatureRequest(folder / "a.morph", tmp_path, tmp_path / f"{name}.csv", gains=(1.0,))
+    if name == "steps":
+        planned = result_of(caricature.plan(request))
+        steps = write_set(replace(planned, tables={"steps.csv": {"a": [1]}}), tmp_path)
+    else:
+        steps = caricature.run(request)
+    with pytest.raises(
+        BadInput, match=f"{name}.csv is one of the inputs and would be lost: give another folder"
+    ):
+        result_of(steps)
+    assert bytes_of(tmp_path) == before
+
+
+def test_a_set_in_the_clips_own_folder_is_refused(folder, tmp_path):
+    model = load_model(folder / "a.morph")
+    name = model.training.frame_names[0]
+    write_image(tmp_path / f"{name}.png", model.render(model.training.values[0]))
+    request = PlaceRequest(folder / "a.morph", (str(tmp_path),), tmp_path, folder / "t.csv", frames=(name,))
+    with pytest.raises(BadInput, match=f"{name}.png is one of the inputs"):
+        result_of(place.run(request))
+    pattern = replace(request, clip=(str(tmp_path / "*.png"),))
+    with pytest.raises(BadInput, match=f"{name}.png is one of the inputs"):
+        result_of(place.run(pattern))
+
+
+def test_a_set_whose_own_table_is_read_goes_elsewhere(folder, tmp_path):
+    made(folder, tmp_path / "out", gains=(1.0,))
+    table = tmp_path / "out" / "loadings.csv"
+    before = bytes_of(tmp_path)
+    with pytest.raises(BadInput, match=r"loadings\.csv is one of the inputs"):
+        result_of(render.run(RenderRequest(folder / "a.morph", table, tmp_path / "out")))
+    assert bytes_of(tmp_path) == before
+
+
+@pytest.mark.parametrize(
+    "name", ["manifest.csv", "index.html", "loadings.csv", "record.json", "colour_loadings.csv"]
+)
+def test_a_file_of_somebody_else_is_named_and_stays(folder, tmp_path, name):
+    (tmp_path / name).write_bytes(b"{}")
+    with pytest.raises(BadInput, match=f"{name} would be replaced, and is not of a stimulus set"):
+        made(folder, tmp_path, gains=(1.0,))
+    assert bytes_of(tmp_path) == {name: b"{}"}
+
+
+def test_a_file_that_a_sets_record_does_not_list_stays(folder, tmp_path):
+    made(folder, tmp_path, gains=(1.0,))
+    (tmp_path / "colour_loadings.csv").write_bytes(b"mine")
+    before = bytes_of(tmp_path)
+    with pytest.raises(BadInput, match=r"colour_loadings\.csv would be replaced"):
+        made(folder, tmp_path, gains=(1.0,))
+    assert bytes_of(tmp_path) == before
+
+
+@pytest.mark.parametrize(
+    "left", ["record.json", "index.html", "loadings.json", "manifest.json", "manifest.csv"]
+)
+def test_a_set_killed_before_its_record_goes_on(folder, pictures, tmp_path, left):
+    """Files are written in this order; killed at each, and then with another set's record still there."""
+    order = ["manifest.csv", "manifest.json", "loadings.csv", "loadings.json", "index.html", "record.json"]
+    made(folder, tmp_path, gains=(0.5, 1.0, 2.0))
+    for name in order[order.index(left) :]:
+        (tmp_path / name).unlink()
+    made(folder, tmp_path, gains=(0.5, 1.0, 2.0))
+    assert bytes_of(tmp_path) == bytes_of(pictures)
+
+
+def test_a_set_killed_while_it_took_a_folder_over_goes_on(folder, tmp_path):
+    made(folder, tmp_path, gains=(1.0,))
+    record = (tmp_path / "record.json").read_bytes()
+    made(folder, tmp_path, gains=(1.0,), texture_gains=(2.0,))
+    whole = bytes_of(tmp_path)
+    (tmp_path / "record.json").write_bytes(record)  # which lists no colour_loadings.csv
+    made(folder, tmp_path, gains=(1.0,), texture_gains=(2.0,))
+    assert bytes_of(tmp_path) == whole
+
+
+def placed(folder, output, told):
+    model = load_model(folder / "a.morph")
+    clip = output / "clip"
+    clip.mkdir()
+    (clip / "clip.json").write_text(json.dumps(told), encoding="utf-8")
+    name = model.training.frame_names[0]
+    write_image(clip / f"{name}.png", model.render(model.training.values[0]))
+    request = PlaceRequest(folder / "a.morph", (str(clip),), output / "out", folder / "t.csv", frames=(name,))
+    outcome = result_of(place.run(request))
+    document = read_stimulus_sidecar(output / "out" / f"{name}.json")
+    jsonschema.Draft202012Validator(SCHEMA).validate(document)
+    again = result_of(
+        replay.run(ReplayRequest(output / "out" / f"{name}.json", folder / "a.morph", (str(clip),)))
+    )
+    assert again.document["same"]
+    (row,) = rows_of(output / "out")
+    return outcome, document, row, essentials_in(output / "out" / f"{name}.png")
+
+
+def test_a_face_in_a_picture_of_somebody_else_tells_of_both(folder, tmp_path):
+    identity = load_model(folder / "a.morph").identity
+    told = {"identity": "other", "consent": "no publication", "licence": "CC0"}
+    outcome, document, row, inside = placed(folder, tmp_path, told)
+    both = f"{identity}: research; other: no publication"
+    assert document["consent"] == row["consent"] == inside["consent"] == both
+    assert document["licence"] == row["licence"] == inside["licence"] == "CC0"
+    assert row["original_identity"] == inside["original_identity"] == "other" and row["identity"] == identity
+    assert any(f"shows other, the model shows {identity}" in note for note in outcome.warnings)
+
+
+def test_a_face_in_a_picture_of_the_same_person_tells_of_one(folder, tmp_path):
+    outcome, document, *_ = placed(folder, tmp_path, {"identity": load_model(folder / "a.morph").identity})
+    assert document["consent"] == "research"
+    assert not any("the model shows" in note for note in outcome.warnings)
+
+
+def test_a_caricature_of_somebody_elses_clip_is_noted(folder, tmp_path):
+    model = load_model(folder / "a.morph")
+    write_image(tmp_path / "a.png", model.reference)
+    (tmp_path / "clip.json").write_text('{"identity": "other"}', encoding="utf-8")
+    request = CaricatureRequest(folder / "a.morph", tmp_path / "out", clip=(str(tmp_path),), gains=(1.0,))
+    assert any("shows other, the model shows" in note for note in result_of(caricature.plan(request)).notes)
+
+
+def damaged(text):
+    """Give a sidecar's text as a disk may give it back."""
+    yield ""
+    yield text[: len(text) // 2]
+    yield text[:-3]
+    yield "\0" * len(text)
+    yield text.replace('"format"', '"fosmat"')
+    yield text.replace('"luminance"', '"luminanca"')
+    yield text.replace('"largest_component"', '"largest_componenu"')
+    yield text.replace('"research"', '"researcj"')
+    yield text.replace('"statistics": {', '"statistics": [', 1)
+    yield text.replace('"size": [', '"size": "', 1)
+    yield text.replace('"version": 1', '"version": 3')
+    yield "[" + text
+
+
+def test_a_damaged_sidecar_is_made_again(folder, tmp_path):
+    made(folder, tmp_path, gains=(1.0,), frames=("frame_001",))
+    whole = bytes_of(tmp_path)
+    sidecar = tmp_path / "frame_001_g1.json"
+    for text in damaged(whole[sidecar.name].decode()):
+        assert text.encode() != whole[sidecar.name]
+        sidecar.write_text(text, encoding="utf-8")
+        made(folder, tmp_path, gains=(1.0,), frames=("frame_001",))
+        assert bytes_of(tmp_path) == whole
+    sidecar.write_bytes(b"\xff\xfe")
+    made(folder, tmp_path, gains=(1.0,), frames=("frame_001",))
+    assert bytes_of(tmp_path) == whole
+
+
+def test_a_cut_sidecar_without_its_picture_is_ours_by_its_start_and_another_is_refused(folder, tmp_path):
+    made(folder, tmp_path, gains=(1.0,), frames=("frame_001",))
+    whole = bytes_of(tmp_path)
+    sidecar = tmp_path / "frame_001_g1.json"
+    for left in tmp_path.iterdir():
+        left.unlink()
+    sidecar.write_bytes(whole[sidecar.name][:200])
+    made(folder, tmp_path, gains=(1.0,), frames=("frame_001",))
+    assert bytes_of(tmp_path) == whole
+    for left in tmp_path.iterdir():
+        left.unlink()
+    for content in (b"", b"mine", b"{"):
+        sidecar.write_bytes(content)
+        with pytest.raises(BadInput, match="delete it or choose another folder"):
+            made(folder, tmp_path, gains=(1.0,), frames=("frame_001",))
+        assert bytes_of(tmp_path) == {sidecar.name: content}
+
+
+def edits():
+    """What somebody may change in a sidecar whose pictures stay, and what replay says of it."""
+    yield ("drawing", "told", "gain"), 9.0, "told.gain is 9.0 in the sidecar, '0.5"
+    yield (
+        ("statistics", "code", "luminance"),
+        0.125,
+        "statistics.code.luminance is 0.125 in the sidecar, drawn again it is 0.",
+    )
+    yield ("quality", "largest_sd"), 0.25, "quality.largest_sd is 0.25 in the sidecar, drawn again it is "
+    yield ("quality", "beyond"), [1], "quality.beyond is [1] in the sidecar, drawn again it is []"
+    yield (
+        ("made_from_sha256",),
+        "0" * 64,
+        "made_from_sha256 is 0000000000000000, what the sidecar tells comes to ",
+    )
+    yield ("versions", "numpy"), "1.0.0", "what the sidecar tells comes to "
+    yield ("inputs", "loadings"), "0" * 64, "what the sidecar tells comes to "
+    yield ("request", "gains"), [7.0], "request_sha256 is "
+    yield ("consent",), "anything", 'consent is "anything" in the sidecar, "research" in the stimulus'
+    yield ("model", "identity"), "other", 'model.identity is "other" in the sidecar, drawn again it is '
+    yield ("output", "bytes"), 3, "output.bytes is 3 in the sidecar, drawn again it is "
+    yield ("output", "size"), [3, 4], "output.size is [3, 4] in the sidecar, drawn again it is [60, 72]"
+    yield ("units", "red"), "pounds", "what the sidecar tells comes to "
+    yield ("mine",), 1, "mine is none of a sidecar's entries"
+
+
+@pytest.mark.parametrize(("entry", "value", "said"), list(edits()))
+def test_replay_names_an_entry_that_was_edited(folder, pictures, tmp_path, entry, value, said):
+    name = rows_of(pictures)[0]["name"]
+    for file in (f"{name}.png", "manifest.csv"):
+        (tmp_path / file).write_bytes((pictures / file).read_bytes())
+    document = json.loads((pictures / f"{name}.json").read_text(encoding="utf-8"))
+    (tmp_path / f"{name}.json").write_text(json.dumps(document), encoding="utf-8")
+    request = ReplayRequest(tmp_path / f"{name}.json", folder / "a.morph")
+    assert result_of(replay.run(request)).document["same"]
+    *path, last = entry
+    place = document
+    for key in path:
+        place = place[key]
+    place[last] = value
+    (tmp_path / f"{name}.json").write_text(json.dumps(document), encoding="utf-8")
+    outcome = result_of(replay.run(request))
+    assert not outcome.document["same"]
+    assert any(said in line for line in outcome.document["differences"]), outcome.lines
+
+
+def test_replay_says_other_versions_that_gave_the_same_bytes(folder, tmp_path, monkeypatch):
+    elsewhere = {**versions(), "numpy": "1.0.0"}
+    monkeypatch.setattr("morphspace.verbs.stimulus_set.versions", lambda: elsewhere)
+    made(folder, tmp_path, gains=(1.0,), frames=("frame_001",))
+    outcome = result_of(replay.run(ReplayRequest(tmp_path / "frame_001_g1.json", folder / "a.morph")))
+    assert outcome.document["same"] and outcome.document["differences"] == []
+    assert "numpy was 1.0.0, here it is" in outcome.lines[1]
+
+
+def test_replay_of_a_folder_or_a_stimulus_says_what_to_give(pictures, tmp_path):
+    name = rows_of(pictures)[0]["name"]
+    with pytest.raises(BadInput, match=r"is a folder: give the \.json beside"):
+        result_of(replay.run(ReplayRequest(pictures)))
+    with pytest.raises(BadInput, match=rf"give the \.json beside it, .*{name}\.json"):
+        result_of(replay.run(ReplayRequest(pictures / f"{name}.png")))
+    (tmp_path / "alone.png").write_bytes((pictures / f"{name}.png").read_bytes())
+    with pytest.raises(BadInput, match="which is not there"):
+        result_of(replay.run(ReplayRequest(tmp_path / "alone.png")))

@@ -23,10 +23,18 @@ RECIPE_VERSION = 1
 KEYS = ("format", "version", "description", "sources", "factors", "stimuli")
 REQUIRED = ("format", "version", "stimuli")
 OWN_KEYS = ("verb", "name")  # of an entry, beside the settings of its verb
-FACTOR_COLUMN = (
-    "factor:"  # opens the heading of a CSV column that is no setting but a condition for the manifest
-)
+FACTOR_COLUMN = "factor:"  # opens the heading of a CSV column that is a condition for the manifest
 PLAIN_LEVEL = "value"  # {gain.value} where the levels of gain are named: {low: 0.5, high: 1.5}
+
+SPOKEN = {  # how the command line calls settings, where its words are others
+    "op": "operations",
+    "ops": "operations",
+    "at": "positions",
+    "a": "first",
+    "b": "last",
+    "src": "source",
+    "dst": "target",
+}
 
 VerbSettings = Mapping[str, Collection[str]]
 
@@ -344,9 +352,10 @@ def _check_setting(
     where: str, verb: str, key: str, verbs: VerbSettings, what: str = "setting", hint: str = ""
 ) -> None:
     if key not in verbs[verb]:
-        raise BadInput(
-            f"{where}: {verb} has no {what} {key!r}: {nearest(key, [*verbs[verb], *OWN_KEYS])}{hint}"
-        )
+        meant = SPOKEN.get(key.lower(), f"{key}s")
+        known = [*verbs[verb], *OWN_KEYS]
+        near = f"did you mean {meant!r}?" if meant in verbs[verb] else nearest(key, known)
+        raise BadInput(f"{where}: {verb} has no {what} {key!r}: {near}{hint}")
 
 
 def _name(where: str, name: Any) -> str | None:

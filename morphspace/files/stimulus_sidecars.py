@@ -20,6 +20,9 @@ STIMULUS_FORMAT = "morphspace-stimulus"
 STIMULUS_VERSION = 1
 KEYWORD = "morphspace"  # of the text inside a PNG
 COMMENT = "comment"  # the metadata entry of a video that holds the same
+ORIGINAL_IDENTITY = (
+    "original_identity"  # told of a stimulus, and inside it: who is in the pictures it was put into
+)
 UNITS = {
     "loadings_sd": "SD of each component over the model's training faces",
     "colour_sd": "SD, of the texture where it has loadings of its own",
@@ -49,9 +52,14 @@ REQUIRED: Mapping[str, type | tuple[type, ...]] = {
 }
 
 
-def essentials(head: Mapping[str, Any]) -> dict[str, Any]:
-    """Give what is written inside the file: model, verb, digest of the request, consent, licence and version."""
+def essentials(head: Mapping[str, Any], told: Mapping[str, Any]) -> dict[str, Any]:
+    """Give what is written inside the file: model, verb, digest of the request, consent, licence and version.
+
+    `told` is what the drawing tells, of which a second person shown goes in too.
+    """
+    also = {key: told[key] for key in (ORIGINAL_IDENTITY,) if key in told}
     return {
+        **also,
         "model_id": head["model"]["model_id"],
         "identity": head["model"]["identity"],
         "verb": head["verb"],
@@ -62,16 +70,16 @@ def essentials(head: Mapping[str, Any]) -> dict[str, Any]:
     }
 
 
-def file_texts(head: Mapping[str, Any], suffix: str) -> dict[str, str]:
-    """Give the texts that go into a PNG (keywords) or a video (metadata entries) of this head."""
-    told = json.dumps(essentials(head), sort_keys=True, ensure_ascii=False)
+def file_texts(head: Mapping[str, Any], told: Mapping[str, Any], suffix: str) -> dict[str, str]:
+    """Give the texts that go into a PNG (keywords) or a video (metadata entries) of this head and drawing."""
+    words = json.dumps(essentials(head, told), sort_keys=True, ensure_ascii=False)
     licence = head["licence"]
     rights = (
         {} if not isinstance(licence, str) else {"Copyright" if suffix == ".png" else "copyright": licence}
     )
     if suffix == ".png":
-        return {"Software": f"morphspace {__version__}", **rights, KEYWORD: told}
-    return {COMMENT: told, **rights}
+        return {"Software": f"morphspace {__version__}", **rights, KEYWORD: words}
+    return {COMMENT: words, **rights}
 
 
 def essentials_in(path: Path) -> dict[str, Any] | None:

@@ -135,7 +135,7 @@ class Drawing:
             row, column = beyond[0]
             raise BadInput(
                 f"{self.name}: pc{column + 1:03d} comes to {values[row, column]:.3g} SD, at most {FURTHEST_SD:g} can "
-                "be drawn: mend the loadings or lower the gain"
+                "be drawn: mend the loadings, use fewer SD, or lower the gain"
             )
         return values
 

@@ -27,6 +27,7 @@ from morphspace.verbs.stimulus import make_stimulus
 from morphspace.verbs.stimulus_set import PlannedSet, check_set, complete_set, keep_model
 
 MOST_UNASKED = 100_000  # stimuli made without --yes: a day's drawing, and tens of gigabytes
+MOST_PLANNED = 1_000_000  # shown by --plan without --yes: minutes, and gigabytes of memory
 FEW_FRAMES = 64  # drawn before other processes have started
 TRIED_FRAMES = 8  # of a video that is drawn to see how long a batch will take
 SHOWN_NOTES = 5  # on folders
@@ -78,6 +79,11 @@ class BatchPlan:
         """How many pictures are drawn, those of videos too."""
         return sum(len(drawing.loadings_sd) for _, drawing in self.planned.drawings)
 
+    @property
+    def asks(self) -> bool:
+        """Whether it makes so many stimuli that the command line wants --yes."""
+        return len(self.planned.drawings) + len(self.planned.folders) > MOST_UNASKED
+
     def lines(self, estimate: Estimate | None) -> tuple[str, ...]:
         """Tell the plan: how many, how long, how large."""
         drawings = [drawing for _, drawing in self.planned.drawings]
@@ -100,6 +106,8 @@ class BatchPlan:
                 f"about {_duration(estimate.seconds)} in {_counted(self.workers, 'process', 'processes')}, "
                 f"{_size(estimate.size_bytes)}{also}"
             )
+        if self.asks:
+            lines.append(f"these are more than {MOST_UNASKED:,}: they are made only with --yes")
         return tuple(lines)
 
     def document(self, estimate: Estimate) -> dict[str, Any]:
@@ -108,6 +116,7 @@ class BatchPlan:
             "stimuli": len(self.planned.drawings),
             "frames": self.frames,
             "folders": len(self.planned.folders),
+            "needs_yes": self.asks,
             "workers": self.workers,
             "seconds": round(estimate.seconds, 1),
             "bytes": round(estimate.size_bytes),
@@ -148,7 +157,9 @@ def write_batch(batch: BatchPlan) -> Steps[Outcome]:
     folder, planned = batch.request.output, batch.planned
     check_folder(folder)
     with _alone(folder):
-        check_set(folder, [drawing for _, drawing in planned.drawings])
+        read = [batch.request.recipe, *(path for one in planned.sets for path in one.files)]
+        tables = [name for one in planned.sets for name in one.tables]
+        check_set(folder, [drawing for _, drawing in planned.drawings], read, tables)
         for one in planned.sets:
             keep_model(one)
         _remove_left_overs(folder, planned)

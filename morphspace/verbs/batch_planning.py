@@ -111,7 +111,8 @@ def planned_recipe(recipe: Recipe, folder: Path, most: int | None) -> Steps[Plan
                 _note_inputs(sets[-1], inputs)
         except BadInput as error:
             words = str(error)
-            raise type(error)(words if job.where in words else f"{job.told}: {words}") from error
+            has_line = words.startswith(f"{recipe.path} line ") or job.where in words
+            raise type(error)(words if has_line else f"{job.told}: {words}") from error
         _check_count(book.drawings + len(folders), most, "stimuli")
         yield Step("plan", done, recipe.job_count)
     _check_folders(folders, book)

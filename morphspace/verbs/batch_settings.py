@@ -156,12 +156,15 @@ def worded(kind: Any) -> str:
     """Say in words what a value of an annotated kind is."""
     origin, inner = typing.get_origin(kind), typing.get_args(kind)
     if origin in (typing.Union, types.UnionType):
-        return " or ".join(dict.fromkeys(worded(member) for member in inner))
+        members = dict.fromkeys(worded(member) for member in inner)
+        return (", or " if any("," in one for one in members) else " or ").join(members)
     if origin is Literal:
         return "one of " + ", ".join(map(str, inner)) if len(inner) > 1 else str(inner[0])
     if origin is tuple:
         if inner[-1] is Ellipsis:
             return f"a list, each {worded(inner[0])}"
+        if len(set(inner)) == 1:
+            return f"a list of {len(inner)}, each {worded(inner[0])}"
         return f"a list of {len(inner)}, " + ", ".join(map(worded, inner))
     words = {
         int: "a whole number",

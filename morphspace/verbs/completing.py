@@ -129,6 +129,13 @@ def to_look_at(rows: Sequence[Mapping[str, Any]]) -> dict[str, list[Mapping[str,
     }
 
 
+def _advice(row: Mapping[str, Any]) -> str | None:
+    """Give what brings a stimulus nearer to the mean face by the verb that made it, None where nothing does."""
+    advice = {"sweep": "use fewer SD", "grid": "use fewer SD", "sample": "lower the spread or --max-sd"}
+    verb = row.get("verb")
+    return advice.get(str(verb), None if verb in ("continuum", "trajectory") else "lower the gain")
+
+
 def notes_on(rows: Sequence[Mapping[str, Any]]) -> tuple[str, ...]:
     """Say what a reader of the set should know: clipped colours, folds, faces beyond the plausible, outliers."""
     notes = []
@@ -137,13 +144,13 @@ def notes_on(rows: Sequence[Mapping[str, Any]]) -> tuple[str, ...]:
         worst = max(clipped, key=lambda row: float(row["clipped_percent"]))
         notes.append(
             f"in {len(clipped)} of {len(rows)} stimuli colour values were clipped, most in {worst['name']} "
-            f"({worst['clipped_percent']:.2g} %): lower the gain"
+            f"({worst['clipped_percent']:.2g} %): {_advice(worst) or 'look at them'}"
         )
     if folded:
         worst = max(folded, key=lambda row: float(row["folded_percent"]))
         notes.append(
             f"in {len(folded)} of {len(rows)} stimuli the face folds over itself, most in {worst['name']} "
-            f"({worst['folded_percent']:.2g} % of it): look at them, or lower the gain"
+            f"({worst['folded_percent']:.2g} % of it): {', or '.join(filter(None, ('look at them', _advice(worst))))}"
         )
     if beyond:
         worst = max(beyond, key=lambda row: float(row["largest_sd"]))

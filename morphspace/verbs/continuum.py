@@ -40,7 +40,7 @@ from morphspace.storage import digest_of_file
 from morphspace.verbs.encoding import STRANGE, encoded_frames, energy_outside, framed_for, notes_on_alignment
 from morphspace.verbs.kept_answers import digest_of_kept
 from morphspace.verbs.outcome import Outcome, versions
-from morphspace.verbs.stimulus_set import PlannedSet, request_document, write_set
+from morphspace.verbs.stimulus_set import PlannedSet, files_named, request_document, write_set
 from morphspace.verbs.stimulus_sources import LISTED, file_names
 from morphspace.verbs.table_checks import check_table
 
@@ -138,6 +138,7 @@ def plan(request: ContinuumRequest, model: MorphModel | None = None) -> Steps[Pl
         tables={STEPS_NAME: table},
         columns=COLUMNS,
         new_model=request.model is None,
+        files=files_named(request),
     )
 
 

@@ -2,14 +2,20 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from morphspace import warp
 from morphspace.arrays import AnyArray
+from morphspace.avatar.blend import told_together
+from morphspace.files.clips import Clip
 from morphspace.files.framed import FramedClip
+from morphspace.files.manifests import Column
+from morphspace.files.stimulus_sidecars import ORIGINAL_IDENTITY
 from morphspace.files.tables import read_loadings_table
 from morphspace.model import MorphModel, load_model
 from morphspace.progress import Step, Steps, in_order
@@ -19,8 +25,19 @@ from morphspace.verbs.encoding import framed_for, notes_on_alignment, notes_on_e
 from morphspace.verbs.kept_answers import digest_of_kept, encoded_clip
 from morphspace.verbs.outcome import Outcome
 from morphspace.verbs.stimulus_set import PlannedSet, plan_of, write_set
-from morphspace.verbs.stimulus_sources import FRAME_RATE_HZ, Faces, check_frames, check_rate
+from morphspace.verbs.stimulus_sources import (
+    FRAME_RATE_HZ,
+    Faces,
+    check_frames,
+    check_rate,
+    notes_on_identity,
+)
 from morphspace.verbs.table_checks import check_reach, check_table
+
+RIGHTS = ("consent", "licence")
+COLUMNS: Mapping[str, Column] = {
+    ORIGINAL_IDENTITY: Column("Whose pictures the faces were put back into, as the clip says")
+}
 
 
 @dataclass(frozen=True)
@@ -72,6 +89,8 @@ def plan(request: PlaceRequest, model: MorphModel | None = None) -> Steps[Planne
     check_reach(loadings_sd, source.names, request.loadings or Path(source.clip.name))
     digests = source.file_digests
     inputs |= {f"clip/{name}": digest for name, digest in zip(source.names, digests, strict=True)}
+    notes += notes_on_identity(model, source.clip)
+    shown = source.clip.sidecar.identity
     rate = request.frame_rate_hz or source.clip.sidecar.frame_rate_hz
     rate = rate or model.provenance.get("frame_rate_hz") or FRAME_RATE_HZ
     faces = Faces(source.clip.name, source.names, loadings_sd, float(rate), inputs)
@@ -85,11 +104,32 @@ def plan(request: PlaceRequest, model: MorphModel | None = None) -> Steps[Planne
             told={
                 "gain": float(request.gain),
                 "original": source.names[rows][0] if request.video is None else name,
+                **({} if shown is None else {ORIGINAL_IDENTITY: shown}),
             },
         )
         for name, rows in faces.stimuli(request.video)
     ]
-    return plan_of(request, "place", model, drawings, inputs=inputs, notes=notes)
+    rights = _rights(model, source.clip)
+    return plan_of(
+        request, "place", model, drawings, inputs=inputs, notes=notes, columns=COLUMNS, rights=rights
+    )
+
+
+def _rights(model: MorphModel, clip: Clip) -> dict[str, Any]:
+    """Give consent and licence of what a stimulus shows: the face is the model's, the rest of the picture the clip's.
+
+    Where they differ each says whose it is; the clip's are named as the clip where it shows the same person.
+    """
+    told = clip.sidecar.identity
+    other = told if told not in (None, model.identity) else f"the clip {clip.name}"
+    labels = (model.identity, str(other))
+    found = {}
+    for key in RIGHTS:
+        of_model, of_clip = model.provenance.get(key), getattr(clip.sidecar, key)
+        if of_clip is None and told == model.identity:
+            of_clip = of_model
+        found[key] = told_together(labels, [of_model, of_clip])
+    return found
 
 
 def _chosen(source: FramedClip, frames: tuple[str, ...]) -> FramedClip:

@@ -16,10 +16,11 @@ from morphspace.files.images import read_image, read_mask
 from morphspace.files.stimulus_sidecars import read_stimulus_sidecar
 from morphspace.model import load_model
 from morphspace.progress import WORKERS, Step, Steps, single_threads
-from morphspace.stimuli.drawing import Drawing, drawing_of
+from morphspace.stimuli.drawing import PICTURE_SUFFIXES, VIDEO_SUFFIXES, Drawing, drawing_of
 from morphspace.storage import digest_of_file, digest_of_json, whole_file
-from morphspace.verbs.outcome import Outcome, versions
-from morphspace.verbs.stimulus import draw_file, originals_of
+from morphspace.verbs.outcome import Outcome
+from morphspace.verbs.sidecar_checks import edited_entries, other_versions
+from morphspace.verbs.stimulus import draw_file, made_from_of, originals_of
 
 FOLDERS_UP = 2  # from the sidecar, where a model may lie: a set inside a batch inside a project
 
@@ -38,7 +39,11 @@ class ReplayRequest:
 
 
 def run(request: ReplayRequest) -> Steps[Outcome]:
-    """Draw, compare, say. `document["same"]` tells whether the bytes are those of the sidecar. Returns an `Outcome`."""
+    """Draw, compare, say. `document["same"]` tells whether the bytes and all entries are those of the sidecar.
+
+    Returns an `Outcome`.
+    """
+    _check_is_sidecar(request.sidecar)
     document = read_stimulus_sidecar(request.sidecar)
     path, model_sha256 = _model(request, document)
     model = load_model(path)
@@ -51,30 +56,48 @@ def run(request: ReplayRequest) -> Steps[Outcome]:
         raise BadInput(f"{request.output} is there already: give another name, so that nothing is lost")
     _check_originals(drawing)
     yield Step("draw", 0, 1)
-    head = {**document, "request_sha256": digest_of_json(document["request"])}
+    try:
+        head = {**document, "request_sha256": digest_of_json(document["request"])}
+        made_from_of(document)
+    except ValueError as error:
+        raise BadInput(f"{request.sidecar} cannot be told as JSON again: {error}; copy it again") from error
     file = request.sidecar.parent / str(document["output"].get("file", ""))
     with tempfile.TemporaryDirectory(prefix="morphspace-") as folder:
         again = Path(folder) / f"again{drawing.suffix}"
         with single_threads():
             drawn = draw_file(model, drawing, head, again, WORKERS)
         sha256 = digest_of_file(again)
-        same = sha256 == document["output"].get("sha256")
+        same_bytes = sha256 == document["output"].get("sha256")
         found = _found(file, document)
-        differences = [] if same else _differences(document, model_sha256, drawn.size, again, file, drawing)
+        edited = edited_entries(
+            document, request.sidecar, drawing, drawn, model, again if same_bytes else None
+        )
+        differences = (
+            []
+            if same_bytes
+            else _differences(document, model_sha256, drawn.size, again, file, drawing, bool(edited))
+        ) + edited
         if request.output is not None:
             with whole_file(request.output) as temporary:
                 temporary.write_bytes(again.read_bytes())
     yield Step("draw", 1, 1)
+    same, name = same_bytes and not edited, f"{drawing.name}{drawing.suffix}"
     if same:
-        lines = [f"{drawing.name}{drawing.suffix}: the same, byte for byte"]
+        lines = [f"{name}: the same, byte for byte"]
+    elif same_bytes:
+        lines = [f"{name}: the same, byte for byte, but its sidecar says something else"]
     else:
-        lines = [f"{drawing.name}{drawing.suffix}: not the same", *(f"  {words}" for words in differences)]
+        lines = [f"{name}: not the same"]
+    lines += [f"  {words}" for words in differences]
+    others = _others(document, model_sha256) if same_bytes else []
+    lines += [f"  {words}" for words in others]
     told = {
         "same": same,
         "file": found,
         "sha256": sha256,
         "recorded_sha256": document["output"].get("sha256"),
         "differences": differences,
+        "others": others,
     }
     notes = {
         "missing": (f"{file} is not there: what was drawn is compared with its sidecar alone",),
@@ -82,6 +105,19 @@ def run(request: ReplayRequest) -> Steps[Outcome]:
     }
     written = () if request.output is None else (request.output,)
     return Outcome(tuple(lines), told, notes.get(found, ()), written)
+
+
+def _check_is_sidecar(path: Path) -> None:
+    """Raise `BadInput` for a folder or a stimulus itself, saying where its sidecar is."""
+    if path.is_dir():
+        raise BadInput(f"{path} is a folder: give the .json beside a stimulus in it")
+    if path.suffix.lower() in (*PICTURE_SUFFIXES, *VIDEO_SUFFIXES) and path.is_file():
+        places = (path.with_suffix(".json"), path.with_name(f"{path.name}.json"))
+        beside = next((place for place in places if place.is_file()), None)
+        where = (
+            f"{beside}" if beside is not None else "which is not there; copy it from where the set was made"
+        )
+        raise BadInput(f"{path} is a stimulus itself: give the .json beside it, {where}")
 
 
 def _check_originals(drawing: Drawing) -> None:
@@ -147,6 +183,15 @@ def _region(sidecar: Path, document: Mapping[str, Any]) -> Mask | None:
     )
 
 
+def _others(document: Mapping[str, Any], model_sha256: str) -> list[str]:
+    """Say what the stimulus was drawn with before, where that was something else: the model's file, versions."""
+    recorded = document["model"].get("sha256")
+    told = []
+    if model_sha256 != recorded:
+        told.append(f"the model is another file: {model_sha256[:16]}, recorded is {str(recorded)[:16]}")
+    return told + other_versions(document)
+
+
 def _differences(
     document: Mapping[str, Any],
     model_sha256: str,
@@ -154,20 +199,14 @@ def _differences(
     again: Path,
     file: Path,
     drawing: Drawing,
+    explained: bool,
 ) -> list[str]:
-    """Say what differs: the model, versions, the size, and by how much the pixels."""
-    told = []
-    recorded = document["model"].get("sha256")
-    if model_sha256 != recorded:
-        told.append(f"the model is another file: {model_sha256[:16]}, recorded is {str(recorded)[:16]}")
-    now = versions()
-    for name, version in document["versions"].items():
-        if now.get(name) != version:
-            told.append(f"{name} was {version}, here it is {now.get(name, 'not installed')}")
+    """Say what differs: the model, versions, the size, and by how much the pixels; whether more is `explained`."""
+    told = _others(document, model_sha256)
     if list(size) != document["output"].get("size"):
         told.append(f"the size is {size[0]}x{size[1]} px, recorded is {document['output'].get('size')}")
     told.append(_pixels(again, file, drawing))
-    if len(told) == 1:
+    if len(told) == 1 and not explained:
         told.append(
             "model and versions are the recorded ones: the sidecar or the file was edited, or the processor differs"
         )

@@ -49,6 +49,8 @@ def plan(request: SampleRequest, model: MorphModel | None = None) -> Steps[Plann
         )
     if request.seed < 0:
         raise BadInput(f"a seed of {request.seed} cannot be used: give a whole number of at least 0")
+    if request.max_sd is not None and np.isnan(request.max_sd):
+        raise BadInput("--max-sd nan is no number: give how many SD a loading may have, such as 3")
     rng = np.random.default_rng(request.seed)
     loadings_sd, again = drawn_sd(
         rng, request.count, model.rank, spread=request.spread, max_sd=request.max_sd

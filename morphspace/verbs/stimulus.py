@@ -29,6 +29,9 @@ from morphspace.storage import digest_of_bytes, digest_of_file, digest_of_json, 
 from morphspace.verbs.told import told_path
 
 PERCENT_DIGITS = 6
+DECIDING = (  # entries of a sidecar; with the drawing, what a stimulus is made from
+    *("format", "version", "verb", "request", "model", "inputs", "units", "consent", "licence", "versions"),
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,19 +60,16 @@ def make_stimulus(
     The same model, drawing and head give the same bytes. Raises `UnwritableFile`, and what drawing raises.
     """
     path, sidecar = files or (folder / drawing.file_name, folder / f"{drawing.name}.json")
-    document = _told(drawing)
-    made_from = digest_of_json([head["head_sha256"], digest_of_bytes(sidecar_text(document).encode())])
-    kept = _kept(path, sidecar, made_from)
+    told = {key: value for key, value in head.items() if key != "request_sha256"}
+    told |= {"inputs": _inputs_of(drawing, head["inputs"]), "drawing": _told(drawing)}
+    told["made_from_sha256"] = made_from_of(told)
+    kept = _kept(path, sidecar, drawing, told["made_from_sha256"])
     if kept is not None:
-        return _row(drawing, *kept)
+        return kept
     with single_threads():
         drawn = draw_file(model, drawing, head, path, workers)
-    told = {key: value for key, value in head.items() if key not in ("head_sha256", "request_sha256")}
-    told["inputs"] = _inputs_of(drawing, head["inputs"])
-    told["drawing"] = document
-    told["made_from_sha256"] = made_from
     told["statistics"] = drawn.statistics
-    told["quality"] = _quality(model, drawing, drawn)
+    told["quality"] = quality_of(model, drawing, drawn)
     told["output"] = {
         "file": path.name,
         "sha256": digest_of_file(path),
@@ -81,6 +81,14 @@ def make_stimulus(
     text = sidecar_text(told)
     write_text(sidecar, text)
     return _row(drawing, told, digest_of_bytes(text.encode()))
+
+
+def made_from_of(told: Mapping[str, Any]) -> str:
+    """Give the digest of all entries of a sidecar that decide the stimulus' bytes; it can be taken of the sidecar."""
+    head = {key: told.get(key) for key in DECIDING}
+    head["request_sha256"] = digest_of_json(head["request"])
+    drawing = digest_of_bytes(sidecar_text(told["drawing"]).encode())
+    return digest_of_json([digest_of_json(head), drawing])
 
 
 def _inputs_of(drawing: Drawing, inputs: Mapping[str, str]) -> dict[str, str]:
@@ -115,7 +123,7 @@ def draw_file(
             folded[0] = max(folded[0], warp.fold_fraction(morph.displacement, model.mask))
             yield image
 
-    texts = file_texts(head, drawing.suffix)
+    texts = file_texts(head, drawing.told, drawing.suffix)
     if drawing.frame_rate_hz is None:
         image = next(iter(images()))
         check_image(image, str(path))
@@ -179,21 +187,22 @@ def _opened(sources: tuple[str, ...]) -> Clip:
     return open_clip(sources)
 
 
-def _kept(path: Path, sidecar: Path, made_from: str) -> tuple[dict[str, Any], str] | None:
-    """Give the sidecar of a stimulus that is made already and whole, with its own digest; else None."""
+def _kept(path: Path, sidecar: Path, drawing: Drawing, made_from: str) -> dict[str, Any] | None:
+    """Give the manifest's row of a stimulus that is made already and whole; else None."""
     if not (sidecar.exists() and path.exists()):
         return None
     try:
         document = read_stimulus_sidecar(sidecar)
-    except (UnreadableFile, BadInput):
-        return None
-    same = document["made_from_sha256"] == made_from and document["output"].get("sha256") == digest_of_file(
-        path
-    )
-    return (document, digest_of_file(sidecar)) if same else None
+        recorded, sha256 = document["made_from_sha256"], document["output"].get("sha256")
+        if made_from != recorded or made_from_of(document) != made_from or sha256 != digest_of_file(path):
+            return None
+        return _row(drawing, document, digest_of_file(sidecar))
+    except (UnreadableFile, BadInput, KeyError, IndexError, TypeError, AttributeError, ValueError):
+        return None  # cut short or damaged
 
 
-def _quality(model: MorphModel, drawing: Drawing, drawn: Drawn) -> dict[str, Any]:
+def quality_of(model: MorphModel, drawing: Drawing, drawn: Drawn) -> dict[str, Any]:
+    """Give the sidecar's `quality`: what was clipped and folded, and how far out the face lies."""
     tables = [
         table for table in (drawing.loadings_sd, drawing.colour_sd, drawing.outside_sd) if table is not None
     ]

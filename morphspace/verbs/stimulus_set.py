@@ -14,8 +14,7 @@ from typing import Any
 
 from morphspace.errors import BadInput
 from morphspace.files.manifests import Column, described_columns
-from morphspace.files.sidecars import read_json_object
-from morphspace.files.stimulus_sidecars import STIMULUS_FORMAT, STIMULUS_VERSION, UNITS, essentials_in
+from morphspace.files.stimulus_sidecars import STIMULUS_FORMAT, STIMULUS_VERSION, UNITS
 from morphspace.model import MorphModel, load_model
 from morphspace.progress import WORKERS, Step, Steps, in_order
 from morphspace.stimuli.drawing import Drawing
@@ -23,14 +22,17 @@ from morphspace.storage import digest_of_json
 from morphspace.verbs.completing import complete_set
 from morphspace.verbs.kept_answers import digest_of_kept
 from morphspace.verbs.outcome import Outcome, check_folder, versions
+from morphspace.verbs.replacing import check_replaced, check_set, files_named
 from morphspace.verbs.stimulus import make_stimulus
 from morphspace.verbs.told import request_document, told_path
 
 __all__ = [
     "PlannedSet",
     "check_kept_model",
+    "check_replaced",
     "check_set",
     "complete_set",
+    "files_named",
     "keep_model",
     "make_stimulus",
     "plan_of",
@@ -49,7 +51,9 @@ class PlannedSet:
     `verb` as it is called on the command line | `request` as JSON, without its output (`request_document`) | `inputs`,
     name to SHA-256 | `drawings`, in their order | `notes` to act on | `tables`, more CSVs for the folder: file name to
     columns | `columns`, what entries the drawings tell mean, where `manifests.TOLD_COLUMNS` does not say | `new_model`
-    where the verb has built the model itself: `keep_model` writes it to `model_path` before anything is drawn.
+    where the verb has built the model itself: `keep_model` writes it to `model_path` before anything is drawn | `files`
+    that were read, none of which the set may replace | `rights`, consent and licence of what is shown where that is
+    not the model's person alone.
 
     Raises `BadInput` where there are no drawings, names collide, or a told entry is not described.
     """
@@ -65,6 +69,8 @@ class PlannedSet:
     tables: Mapping[str, Mapping[str, Sequence[Any]]] = field(default_factory=dict)
     columns: Mapping[str, Column] = field(default_factory=dict)
     new_model: bool = False
+    files: tuple[Path, ...] = ()
+    rights: Mapping[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         if not self.drawings:
@@ -95,10 +101,10 @@ class PlannedSet:
             "units": UNITS,
             "consent": provenance.get("consent"),
             "licence": provenance.get("licence"),
+            **self.rights,
             "versions": versions(),
         }
         head["request_sha256"] = digest_of_json(head["request"])
-        head["head_sha256"] = digest_of_json(head)
         return head
 
 
@@ -112,6 +118,7 @@ def plan_of(
     notes: Sequence[str] = (),
     tables: Mapping[str, Mapping[str, Sequence[Any]]] | None = None,
     columns: Mapping[str, Column] | None = None,
+    rights: Mapping[str, Any] | None = None,
 ) -> PlannedSet:
     """Make the planned set of a verb's request, whose `model` is the path the model was opened from."""
     sha256 = digest_of_kept(Path(request.model))
@@ -126,6 +133,8 @@ def plan_of(
         notes=tuple(notes),
         tables=tables or {},
         columns=columns or {},
+        files=files_named(request),
+        rights=rights or {},
     )
 
 
@@ -144,28 +153,6 @@ def check_names(names: Sequence[str], tables: Sequence[str] = ()) -> None:
             raise BadInput(
                 f"a stimulus is called {name!r}, which is the name of a file of the set: rename it"
             )
-
-
-def check_set(folder: Path, drawings: Sequence[Drawing]) -> None:
-    """Make the folder, or raise where it cannot be written or files that are not ours would be replaced."""
-    check_folder(folder)
-    for name in ("manifest.json", "loadings.json", "record.json"):
-        path = folder / name
-        if path.exists() and not str(read_json_object(path).get("format", "")).startswith("morphspace-"):
-            raise BadInput(
-                f"{path} would be replaced, and is not of a stimulus set: choose another output folder"
-            )
-    for drawing in drawings:
-        check_replaced(folder / drawing.file_name, folder / f"{drawing.name}.json")
-
-
-def check_replaced(picture: Path, sidecar: Path) -> None:
-    """Raise `BadInput` where a stimulus or its sidecar would replace a file that is no stimulus of ours."""
-    if sidecar.exists():
-        if read_json_object(sidecar).get("format") != STIMULUS_FORMAT:
-            raise BadInput(f"{sidecar} would be replaced, and is no stimulus' sidecar: choose another output")
-    elif picture.exists() and essentials_in(picture) is None:
-        raise BadInput(f"{picture} would be replaced, and is no stimulus of ours: choose another output")
 
 
 def keep_model(planned: PlannedSet) -> None:
@@ -194,7 +181,7 @@ def write_set(planned: PlannedSet, folder: Path) -> Steps[Outcome]:
 
     What is there already and whole is kept. Returns an `Outcome`. Raises `UnwritableFile` and `BadInput`.
     """
-    check_set(folder, planned.drawings)
+    check_set(folder, planned.drawings, planned.files, tuple(planned.tables))
     keep_model(planned)
     head = planned.sidecar_head()
     rows: list[dict[str, Any]] = []

@@ -10,6 +10,7 @@ import numpy as np
 
 from morphspace.arrays import LoadingTable
 from morphspace.errors import BadInput
+from morphspace.files.clips import Clip
 from morphspace.files.tables import read_loadings_table
 from morphspace.model import MorphModel
 from morphspace.progress import Steps
@@ -43,6 +44,16 @@ class Faces:
         if video not in VIDEO_SUFFIXES:
             raise BadInput(f"a video cannot be written as {video!r}: use one of {', '.join(VIDEO_SUFFIXES)}")
         return [(motion_name(self.name), slice(None))]
+
+
+def notes_on_identity(model: MorphModel, clip: Clip) -> tuple[str, ...]:
+    """Say where a clip says that it shows somebody else than the model does."""
+    told = clip.sidecar.identity
+    if told is None or told == model.identity:
+        return ()
+    return (
+        f"the clip {clip.name} shows {told}, the model shows {model.identity}: make sure that this is meant",
+    )
 
 
 def motion_name(name: str) -> str:
@@ -114,6 +125,7 @@ def _of_clip(
     rate = source.clip.sidecar.frame_rate_hz or model.provenance.get("frame_rate_hz") or FRAME_RATE_HZ
     inputs = {f"clip/{name}": digest for name, digest in zip(source.names, source.file_digests, strict=True)}
     notes = notes_on_enlarging(source.framing, model.identity) + notes_on_alignment(model)
+    notes += notes_on_identity(model, source.clip)
     return Faces(source.clip.name, source.names, loadings.in_sd(model), float(rate), inputs, notes)
 
 

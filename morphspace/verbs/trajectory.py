@@ -212,9 +212,10 @@ def _notes(motion: Motion, weights: AnyArray) -> tuple[str, ...]:
     median, _, closing = _steps(motion, weights)
     if motion.ends == "open" or closing <= JUMP * median:
         return ()
+    far = f"by {closing / median:.3g} median steps" if median > 0 else "though it mostly stands still"
     return (
-        f"{motion.name} jumps by {_share(closing, median)} median steps where the loop closes: give the loop more "
-        "seconds, or none, and it takes what it needs",
+        f"{motion.name} jumps {far} where the loop closes: give the loop more seconds, or none, and it takes what it "
+        "needs",
     )
 
 
