@@ -14,6 +14,7 @@ from morphspace.model import Loadings, MorphModel, load_model
 from morphspace.progress import Step, Steps
 from morphspace.storage import digest_of_file
 from morphspace.verbs.encoding import (
+    drawn_by,
     encoded_frames,
     framed_for,
     joined,
@@ -44,7 +45,8 @@ def run(request: EncodeRequest) -> Steps[Outcome]:
     if sidecar.exists() and read_json_object(sidecar).get("format") != LOADINGS_FORMAT:
         raise BadInput(f"{sidecar} would be replaced, and is no table's sidecar: give the table another name")
     parts: list[Loadings] = []
-    for encoded in encoded_frames(model, source):
+    own = drawn_by(model, source)
+    for encoded in encoded_frames(model, source, own):
         parts.append(encoded.loadings)
         yield Step("encode", len(parts), len(source.names))
     loadings = joined(model, parts)
@@ -62,7 +64,7 @@ def run(request: EncodeRequest) -> Steps[Outcome]:
         "furthest_sd": furthest,
     }
     notes = notes_on_enlarging(source.framing, model.identity) + notes_on_alignment(model)
-    notes += notes_on_own(model, source)
+    notes += notes_on_own(own)
     return Outcome(lines, document, notes, written)
 
 

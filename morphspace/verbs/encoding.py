@@ -133,14 +133,16 @@ def energy_outside(offset: MorphOffset, model: MorphModel, inside: LoadingVector
     return max(whole - held, 0.0) / variance if variance > 0 else np.inf
 
 
-def encoded_frames(model: MorphModel, source: FramedClip) -> Iterator[EncodedFrame]:
+def encoded_frames(
+    model: MorphModel, source: FramedClip, own: tuple[bool, ...] | None = None
+) -> Iterator[EncodedFrame]:
     """Encode each frame of the clip, in order, a few at a time.
 
-    What the model has drawn itself (`drawn_by`) lies on its reference already and is not moved: a strong expression
-    would be taken for a movement of the head.
+    What the model has drawn itself (`own`, looked up by `drawn_by` where None) lies on its reference already and is
+    not moved: a strong expression would be taken for a movement of the head.
     """
     flow = model.flow_from_reference  # prepared here, once, and not by each thread
-    own = drawn_by(model, source)
+    own = drawn_by(model, source) if own is None else own
 
     def encode(item: tuple[str, Image, bool]) -> EncodedFrame:
         name, image, is_own = item
@@ -167,10 +169,10 @@ def drawn_by(model: MorphModel, source: FramedClip) -> tuple[bool, ...]:
     return tuple(own[path] for path in source.clip.paths)
 
 
-def notes_on_own(model: MorphModel, source: FramedClip) -> tuple[str, ...]:
-    """Say how many frames were not aligned, since the model has drawn them itself."""
-    own = sum(drawn_by(model, source))
-    return (f"{own} frames are this model's own pictures, and are read without alignment",) if own else ()
+def notes_on_own(own: tuple[bool, ...]) -> tuple[str, ...]:
+    """Say how many frames were not aligned, since the model has drawn them itself; `own` as `drawn_by` gives it."""
+    count = sum(own)
+    return (f"{count} frames are this model's own pictures, and are read without alignment",) if count else ()
 
 
 def notes_on_alignment(model: MorphModel) -> tuple[str, ...]:
