@@ -87,6 +87,14 @@ OPTIONS = (
         metavar="NAME|flat",
         help="Whose hair, ears, neck and background stay, or flat grey [default: the reference identity's].",
     ),
+    click.option(
+        "--correspondence",
+        type=click.Choice(["expression", "rest"]),
+        default="expression",
+        show_default=True,
+        help="What lies on what between people: as their mean faces do, at rest, or at the mouth found anew in each "
+        "expression.",
+    ),
     flow_option("The flow estimator, between the people and of the final model."),
     COMPONENTS,
     click.option(

@@ -23,6 +23,7 @@ from pathlib import Path
 
 import bench_avatar
 import bench_avatar_drawn
+import bench_avatar_matching
 import bench_batch
 import bench_build
 import bench_detection
@@ -75,9 +76,11 @@ DATA_SECTIONS = (
     "avatar",
     "avatar-laws",
     "avatar-cost",
+    "avatar-correspondence",
     *FLOW_SECTIONS,
 )
 OTHER_SECTIONS = ("pca", "render", "open", "warp", "help", "video", "mimicry-drawn", "avatar-drawn")
+FACE_JUDGED = {"mimicry", "avatar", "avatar-correspondence"}
 BUILD_ROUNDS = 3  # at most; a build takes minutes
 
 
@@ -151,6 +154,8 @@ def run(section: str, arguments: argparse.Namespace, work: Path) -> None:
         bench_avatar.avatar_laws(data, work)
     elif section == "avatar-cost":
         bench_avatar.avatar_cost(data, work)
+    elif section == "avatar-correspondence":
+        bench_avatar_matching.avatar_correspondence(data, work, arguments.face_judge)
     elif section == "avatar-drawn":
         bench_avatar_drawn.avatar_drawn(work)
     elif section == "video":
@@ -183,8 +188,10 @@ def main(words: Sequence[str]) -> int:
     arguments = parser.parse_args(words)
     if arguments.data is None and any(section in DATA_SECTIONS for section in arguments.sections):
         parser.error("these sections need the clips: give --data or set MORPHSPACE_DATA")
-    if arguments.face_judge is None and {"mimicry", "avatar"} & set(arguments.sections):
-        parser.error("mimicry and avatar need --face-judge, the python that holds their judge")
+    if arguments.face_judge is None and FACE_JUDGED & set(arguments.sections):
+        parser.error(
+            "mimicry, avatar and avatar-correspondence need --face-judge, the python that holds their judge"
+        )
     if arguments.judge is None and {"landmarks", "ceiling", "detection"} & set(arguments.sections):
         parser.error("landmarks need --judge, the python that holds the detector")
     with tempfile.TemporaryDirectory() as temporary:

@@ -33,7 +33,7 @@ from morphspace.warp import move_points
 from morphspace.workframes import FLOW_VERSION, KEY_DIGITS, is_whole
 
 BLEND_FORMAT = "morphspace-blend-1"
-BLEND_VERSION = 4  # raise it when blends come out otherwise: kept pictures are then made again
+BLEND_VERSION = 5  # raise it when blends come out otherwise: kept pictures are then made again
 PIXEL_AVERAGES = 16  # expressions, evenly spread, of which the pixel average is made for comparison
 LEAST_EXPRESSIONS = 3
 KEPT = 0.77  # of the pictures' sharpness comes back from the finished model; measured on two groups of four people
@@ -348,6 +348,7 @@ def _provenance(studio: Studio, frames: BlendedFrames, amount: float) -> dict[st
             "faceframe": settings.faceframe,
             "method": studio.cast.method,
             "max_sd": studio.cast.max_sd,
+            "correspondence": settings.correspondence,
             "expressions": settings.expressions,
             "frames_of": "models" if settings.clips is None else "clips",
             "sharpen": amount,

@@ -113,7 +113,7 @@ def common_face(models: Sequence[MorphModel], keys: Sequence[str], reference: in
         start, held = _start(home, model)
         rest = find(warp.sample(np.array(model.mean.texture), start), None).displacement
         if held:
-            rest = _shortened(rest, MOST_BEYOND_POINTS * width)
+            rest = shortened(rest, MOST_BEYOND_POINTS * width)
         fields.append(unfolded(warp.compose(start, rest)))
     masks = [warp.sample_field(model.mask, field) for model, field in zip(models, fields, strict=True)]
     outline = visible.inside_outline(home)
@@ -135,7 +135,7 @@ def _start(home: MorphModel, other: MorphModel) -> tuple[Displacement, bool]:
     return unfolded(spline_from(points[0][held], height, width)(points[1][held])), True
 
 
-def _shortened(field: Displacement, most_px: float) -> Displacement:
+def shortened(field: Displacement, most_px: float) -> Displacement:
     """Draw a field's vectors smoothly inside a length."""
     square = (field * field).sum(axis=2, keepdims=True) / np.float32(most_px**2)
     return (field / np.sqrt(1 + square)).astype(np.float32)

@@ -8,7 +8,7 @@ one of its identities cannot follow. (Ours.)
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -19,11 +19,13 @@ from morphspace.arrays import Affine, AnyArray, Image, Mask
 from morphspace.avatar.bands import Shown, banded, changed, detail_of, strength
 from morphspace.avatar.common_face import CommonFace, Laid, around, check_finite, version_picture
 from morphspace.avatar.sharpness import WELL_INSIDE
-from morphspace.avatar.versions import LEAST, Version
+from morphspace.avatar.versions import Version, believed
 from morphspace.flow.folds import unfolded
 
 GREY = 0.5  # of a flat surround
 LEAST_SKIN = 1e-3  # share that hair keeps: where all have hair, all count alike
+
+Match = Callable[[Sequence[Version], Mapping[int, Laid]], Mapping[int, Laid]]
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,13 +33,15 @@ class Mixer:
     """Mixes versions onto one faceframe.
 
     `common` the grid | `weights` (n,) of the identities, sum 1 | `places` (2, 3) each, from their pictures to the
-    aligned picture | `surround` the identity whose hair, neck and background stay, None for flat grey.
+    aligned picture | `surround` the identity whose hair, neck and background stay, None for flat grey
+    | `match` what an expression's own correspondence makes of the versions on the grid.
     """
 
     common: CommonFace
     weights: AnyArray
     places: Sequence[Affine]
     surround: int | None
+    match: Match | None = None
 
     @cached_property
     def rest(self) -> tuple[Laid, ...]:
@@ -97,9 +101,10 @@ class Mixer:
             for i, version in enumerate(versions)
             if used[i] > 0 or i == self.surround
         }
+        matched = laid if self.match is None else self.match(versions, laid)
         offsets = {
             i: Laid(one.texture - self.rest[i].texture, one.displacement - self.rest[i].displacement)
-            for i, one in laid.items()
+            for i, one in matched.items()
         }
         added = _sum([used[i] for i in offsets], list(offsets.values()))
         outside = self._outside(versions, laid, added)
@@ -149,11 +154,6 @@ class Mixer:
         texture = rest.texture + share * (own.texture - rest.texture)
         moved = share * (own.displacement - rest.displacement) + (1 - share) * near * added.displacement
         return Laid(texture, rest.displacement + moved)
-
-
-def believed(version: Version) -> float:
-    """Give how much a version counts, 0 to 1."""
-    return 0.0 if version.plausibility < LEAST else version.plausibility
 
 
 def _sum(weights: Sequence[float] | AnyArray, laid: Sequence[Laid]) -> Laid:

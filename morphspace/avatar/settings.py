@@ -20,6 +20,7 @@ from morphspace.model import MorphModel
 AUTO = "auto"
 MEAN, SOURCE = "mean", "source"
 FLAT = "flat"
+EXPRESSION, REST = "expression", "rest"
 EXPRESSIONS = 40  # of each identity; more cost in proportion and add little that is new
 COMPONENTS = 50
 MOST_SHARPEN = 3.0  # with more, edges ring
@@ -34,7 +35,8 @@ class AvatarSettings:
     whose mean face all others are laid, None for the one nearest to them | `expressions` of each identity, None for all
     | `method` of `mimic.METHODS`, or "auto" | `max_sd` bounds each loading | `sharpen` amount of the unsharp mask, None
     for as sharp as the sources | `surround` the identity whose hair, neck and background stay, "flat" for grey, None
-    for the reference identity's | `flow` between the mean faces, and of the final build | `components` of the result |
+    for the reference identity's | `correspondence` of people: that of their mean faces, "rest", or at the mouth one for
+    each "expression" | `flow` between people, and of the final build | `components` of the result |
     `finder` finds the face in the blended pictures for the final build | `clips` that the models were built from, one a
     model, for their own frames in place of what the models make of them | `provenance` joins the result's.
     """
@@ -47,6 +49,7 @@ class AvatarSettings:
     max_sd: float = MAX_SD
     sharpen: float | None = None
     surround: str | None = None
+    correspondence: str = EXPRESSION
     flow: str = methods.DEFAULT
     components: int = COMPONENTS
     finder: FaceFinder | None = None
@@ -114,6 +117,10 @@ def _finite(model: MorphModel) -> bool:
 def check_settings(settings: AvatarSettings, count: int) -> AnyArray:
     """Give the weights (k,), sum 1. Raises `BadInput` for settings that cannot be meant."""
     methods.named(settings.flow)
+    if settings.correspondence not in (EXPRESSION, REST):
+        raise BadInput(
+            f"there is no correspondence by {settings.correspondence!r}: choose {EXPRESSION} or {REST}"
+        )
     if settings.method not in (AUTO, *METHODS):
         raise BadInput(
             f"there is no mimicry by {settings.method!r}: choose {AUTO}, or one of {', '.join(METHODS)}"

@@ -11,10 +11,12 @@ import numpy as np
 
 from morphspace.arrays import AnyArray, Image
 from morphspace.avatar.common_face import CommonFace, common_face, mean_faceframe, places_on, version_picture
+from morphspace.avatar.matching import Matcher
 from morphspace.avatar.mixing import Mixer
 from morphspace.avatar.originals import originals_of
 from morphspace.avatar.selection import labels_of, model_key, nearest_to_all, spread_out
 from morphspace.avatar.settings import (
+    EXPRESSION,
     FLAT,
     MEAN,
     SOURCE,
@@ -84,7 +86,10 @@ class Studio:
         key = source if self.settings.faceframe == SOURCE else 0
         if key not in self.mixers:
             places = places_on(self.cast.models, self.faceframe(source))
-            self.mixers[key] = Mixer(self.common, self.shares, places, self.surround)
+            match = None
+            if self.settings.correspondence == EXPRESSION:
+                match = Matcher(self.cast.models, self.cast.keys, places, self.settings.flow).matched
+            self.mixers[key] = Mixer(self.common, self.shares, places, self.surround, match)
         return self.mixers[key]
 
     def shows(self, source: int) -> tuple[Show, ...]:
@@ -135,6 +140,7 @@ class Studio:
             faceframes,
             cast.method,
             cast.max_sd,
+            settings.correspondence,
             settings.flow,
             [None if one is None else one.identity for one in cast.originals],
         ]

@@ -40,10 +40,15 @@ LIP_GAP = (15, 5)
 
 @dataclass(frozen=True, eq=False)
 class Version:
-    """An expression as one identity shows it: its morph on that identity's mean face, and its plausibility, 0 to 1."""
+    """An expression as one identity shows it: its `morph` on that identity's mean face, and its `plausibility`, 0 to 1.
+
+    `loadings` (k,) of it in that identity's model | `is_own` whether it is the identity's own expression.
+    """
 
     morph: Morph
     plausibility: float
+    loadings: LoadingVector = field(default_factory=lambda: np.zeros(0))
+    is_own: bool = False
 
 
 Show = Callable[[LoadingVector, MorphOffset], Version]
@@ -82,7 +87,7 @@ class Cast:
 
 
 def _as_it_is(model: MorphModel) -> Show:
-    return lambda _, offset: Version(model.mean + offset, 1.0)
+    return lambda loadings, offset: Version(model.mean + offset, 1.0, loadings, is_own=True)
 
 
 def _projected(source: MorphModel, target: MorphModel, method: Method, max_sd: float) -> Show:
@@ -106,9 +111,14 @@ def _projected(source: MorphModel, target: MorphModel, method: Method, max_sd: f
         if gaps is not None:
             misfit, beyond = gaps.judged(loadings, made.loadings)
             factors += [falling(misfit, MISFIT), falling(beyond, BEYOND)]
-        return Version(made.morph, float(np.prod(factors)))
+        return Version(made.morph, float(np.prod(factors)), made.loadings)
 
     return show
+
+
+def believed(version: Version) -> float:
+    """Give how much a version counts, 0 to 1."""
+    return 0.0 if version.plausibility < LEAST else version.plausibility
 
 
 def _know_landmarks(source: MorphModel, target: MorphModel) -> bool:

@@ -34,9 +34,9 @@ def inside_outline(model: MorphModel) -> Mask | None:
     if points is None:
         return None
     height, width = model.mask.shape
-    filled = _filled(points[list(FACE_OUTLINE)], height, width)
+    outline = filled(points[list(FACE_OUTLINE)], height, width)
     # Beyond the picture there is face: a chin that touches the edge keeps its mask there.
-    smaller = cv2.erode(filled, _disc(INSIDE_OUTLINE * width), borderType=cv2.BORDER_REPLICATE)
+    smaller = cv2.erode(outline, disc(INSIDE_OUTLINE * width), borderType=cv2.BORDER_REPLICATE)
     return cv2.GaussianBlur(smaller, (0, 0), EDGE * width, borderType=cv2.BORDER_REPLICATE)
 
 
@@ -57,7 +57,7 @@ def skin_share(home: MorphModel, texture: Image, mask: Mask) -> Mask:
     like_skin = np.clip((luma / own - HAIR) / (SKIN - HAIR), 0, 1).astype(np.float32)
     forehead = _forehead(points, height, width)
     share -= forehead * (1 - like_skin)
-    share = cv2.erode(share, _disc(AROUND_HAIR * width), borderType=cv2.BORDER_REPLICATE)
+    share = cv2.erode(share, disc(AROUND_HAIR * width), borderType=cv2.BORDER_REPLICATE)
     return cv2.GaussianBlur(share, (0, 0), SOFT * width, borderType=cv2.BORDER_REPLICATE)
 
 
@@ -69,12 +69,14 @@ def _forehead(points: AnyArray, height: int, width: int) -> Mask:
     return (np.arange(height)[:, None] < edge).astype(np.float32)
 
 
-def _filled(points: AnyArray, height: int, width: int) -> Mask:
+def filled(points: AnyArray, height: int, width: int) -> Mask:
+    """Fill a polygon (m, 2) px: (h, w), 1 inside and smooth at its edge."""
     canvas = np.zeros((height, width), np.uint8)
     cv2.fillPoly(canvas, [np.round(points * 2**SUBPIXEL).astype(np.int32)], 255, cv2.LINE_AA, SUBPIXEL)
     return (canvas / np.float32(255)).astype(np.float32)
 
 
-def _disc(radius_px: float) -> AnyArray:
+def disc(radius_px: float) -> AnyArray:
+    """Give a disc for dilating and eroding, of 1 px at least."""
     side = 2 * max(1, round(radius_px)) + 1
     return cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (side, side))

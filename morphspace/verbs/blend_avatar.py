@@ -14,7 +14,7 @@ import numpy as np
 from morphspace.avatar import Avatar, AvatarSettings, blend_steps
 from morphspace.avatar.blend import checked
 from morphspace.avatar.originals import check_clips
-from morphspace.avatar.settings import AUTO, COMPONENTS, EXPRESSIONS, FLAT, MEAN
+from morphspace.avatar.settings import AUTO, COMPONENTS, EXPRESSION, EXPRESSIONS, FLAT, MEAN
 from morphspace.errors import BadInput, UnreadableFile
 from morphspace.facefinder import FaceFinder
 from morphspace.files.framed import FramedClip
@@ -59,6 +59,7 @@ class BlendAvatarRequest:
     max_sd: float = MAX_SD
     sharpen: float | None = None
     surround: str | None = None
+    correspondence: str = EXPRESSION
     flow: str = methods.DEFAULT
     components: int = COMPONENTS
     clips: tuple[str, ...] | None = None
@@ -94,6 +95,7 @@ def run(request: BlendAvatarRequest) -> Steps[Outcome]:
             max_sd=request.max_sd,
             sharpen=request.sharpen,
             surround=request.surround,
+            correspondence=request.correspondence,
             flow=request.flow,
             components=request.components,
             finder=finder,
