@@ -250,6 +250,28 @@ def looking(model, to_right):
     return model.with_faceframe(FACEFRAME, origin)
 
 
+def test_who_knows_no_landmarks_is_told_where_mouths_are_matched(anna, ben):
+    def said(one, other, **settings):
+        return " ".join(notes_on(studio_of([one, other], AvatarSettings(**settings)), (), 1.0))
+
+    assert "anna, ben know no landmarks" in said(anna, ben)
+    assert "ben knows no landmarks" in said(with_lips(anna, 1.0), ben)
+    assert "landmarks" not in said(with_lips(anna, 1.0), with_lips(ben, 1.0))
+    assert "landmarks" not in said(anna, ben, correspondence="rest")
+    assert "landmarks" not in said(anna, ben, weights=(1, 0))
+    with pytest.raises(BadInput, match="no correspondence by 'both'"):
+        said(anna, ben, correspondence="both")
+
+
+def test_mouths_are_matched_where_all_know_their_landmarks(anna, ben):
+    models = [with_lips(anna, 1.0), with_lips(ben, 1.0)]
+    studio = studio_of(models, AvatarSettings(flow="dis"))
+    assert studio.mixer(0).match is not None
+    alone = studio_of(models, AvatarSettings(flow="dis", correspondence="rest"))
+    assert alone.mixer(0).match is None
+    assert studio.identity() != alone.identity()  # kept blends of the one are not the other's
+
+
 def test_people_who_look_in_different_directions_are_told(anna, ben):
     said = []
     for to_right in (0.4, 2.0):  # px of 10

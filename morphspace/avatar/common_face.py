@@ -2,9 +2,9 @@
 
 Nagle finds the flow from the k versions of each expression to the reference identity's (section 4, step 8). Here each
 version is a morph already: its model knows where every point of its mean face went. So people are put in correspondence
-once, mean face to mean face, where all are at rest and the flow is surest, held by the points of the face mesh; and a
-version's correspondence follows by composition, the same for every expression. Nothing is resampled twice, and the
-cost of a flow is paid once an identity. (Ours.)
+mean face to mean face, where all are at rest and the flow is surest, held by the points of the face mesh; and a
+version's correspondence follows by composition, the same for every expression. What that cannot tell, the mouth, is
+found anew in each (`matching`). Nothing is resampled twice. (Ours.)
 """
 
 from __future__ import annotations

@@ -20,7 +20,7 @@ import numpy as np
 from morphspace import warp
 from morphspace.anchoring import CHEEKS_AND_CHIN, spline_from
 from morphspace.arrays import Affine, AnyArray, Displacement, Image, Mask, Points
-from morphspace.avatar.common_face import MOST_BEYOND_POINTS, Laid, placed, shortened
+from morphspace.avatar.common_face import Laid, placed, shortened
 from morphspace.avatar.versions import Version, believed
 from morphspace.avatar.visible import disc, filled
 from morphspace.facepoints import LIPS, PHILTRUM, POINT_COUNT, RIGID_POINTS
@@ -32,6 +32,7 @@ from morphspace.model import MorphModel
 
 AROUND_LIPS = 0.03  # of the width: how far around the lips an expression has its own correspondence
 SOFT = 0.015  # of the width, sd of the edge of that
+MOST_BEYOND_START = 0.04  # of the width: how far the flow may leave where it starts
 HOLDING = tuple(sorted({*LIPS, PHILTRUM, *RIGID_POINTS, *CHEEKS_AND_CHIN}))
 """Places in the mesh of what holds the mouth: its lips, and what stands around them."""
 
@@ -84,7 +85,7 @@ class Matcher:
             start = unfolded(at_rest + held(points.points + off))
             picture, inverse = self._picture(i, versions[i])
             rest = find(warp.sample(picture, start), None).displacement
-            field = warp.compose(start, shortened(rest, MOST_BEYOND_POINTS * width))
+            field = warp.compose(start, shortened(rest, MOST_BEYOND_START * width))
             field = unfolded(at_rest + region * (field - at_rest))
             displacement = warp.compose(field, there)
             texture = warp.sample(np.array(versions[i].morph.texture), warp.compose(inverse, displacement))

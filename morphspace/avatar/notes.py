@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from morphspace.arrays import Points
-from morphspace.avatar.settings import MOST_SHARPEN, SOURCE, Expression
+from morphspace.avatar.settings import MOST_SHARPEN, REST, SOURCE, Expression
 from morphspace.avatar.studio import Studio
 from morphspace.facepoints import LEFT_IRIS, LEFT_LIDS, RIGHT_IRIS, RIGHT_LIDS
 from morphspace.keypoints import landmarks_of
@@ -23,6 +23,7 @@ def notes_on(studio: Studio, expressions: Sequence[Expression], sharp_share: flo
     return (
         *_who(studio),
         *_left_out(studio, expressions),
+        *_without_landmarks(studio),
         *_gaze(studio),
         *_sharpness(sharp_share, studio.settings.sharpen),
     )
@@ -60,6 +61,17 @@ def _left_out(studio: Studio, expressions: Sequence[Expression]) -> list[str]:
                 f"show ({shown}{', ...' if len(out) > 3 else ''}): there it enters with its mean face only"
             )
     return notes
+
+
+def _without_landmarks(studio: Studio) -> list[str]:
+    models = studio.models
+    without = [studio.labels[given] for given in studio.part if models[given].landmarks is None]
+    if studio.settings.correspondence == REST or len(studio.part) < 2 or not without:
+        return []
+    return [
+        f"{', '.join(without)} {'know' if len(without) > 1 else 'knows'} no landmarks: at the mouth, too, others lie on "
+        "that face as they do at rest"
+    ]
 
 
 def _gaze(studio: Studio) -> list[str]:

@@ -223,6 +223,8 @@ def _settings_shown(avatar: Avatar, request: BlendAvatarRequest) -> dict[str, st
         "expressions": f"{len(avatar.expressions)}; of each identity {count}"
         + ("" if request.expressions is None else ", by farthest-point sampling"),
         "frames": "rendered by the models" if request.clips is None else "of the clips",
+        "correspondence": "mean faces at rest"
+        + (", mouths in each expression" if request.correspondence == EXPRESSION else ""),
         "reference identity": avatar.identities[avatar.reference_identity],
         "reference expression": avatar.expressions[avatar.reference].name,
         "faceframe": request.faceframe,
@@ -274,6 +276,7 @@ def _outcome(
         "reference_identity": avatar.identities[avatar.reference_identity],
         "surround": FLAT if avatar.surround is None else avatar.identities[avatar.surround],
         "method": model.provenance["blend"]["method"],
+        "correspondence": request.correspondence,
         "sharpen": avatar.sharpen,
         "sharpness": {
             "sources": [float(value) for value in sharpness["sources"]],
