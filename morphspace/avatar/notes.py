@@ -69,7 +69,7 @@ def _without_landmarks(studio: Studio) -> list[str]:
     if studio.settings.correspondence == REST or len(studio.part) < 2 or not without:
         return []
     return [
-        f"{', '.join(without)} {'know' if len(without) > 1 else 'knows'} no landmarks: at the mouth, too, others lie on "
+        f"{', '.join(without)} {'know' if len(without) > 1 else 'knows'} no landmarks: even at the mouth others lie on "
         "that face as they do at rest"
     ]
 
