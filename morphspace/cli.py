@@ -29,7 +29,7 @@ from morphspace.cli_mimic import add_mimic
 from morphspace.cli_models import add_models
 from morphspace.cli_motion import add_motion
 from morphspace.cli_stimuli import add_stimuli
-from morphspace.cli_words import CROP, SIZE
+from morphspace.cli_words import CROP, PATH, SIZE
 from morphspace.errors import BadInput, MorphspaceError
 
 if TYPE_CHECKING:
@@ -172,7 +172,7 @@ def _fail(message: str, code: int, kind: str | None = None) -> None:
     sys.exit(code)
 
 
-MODEL = click.argument("model", type=click.Path(path_type=Path))
+MODEL = click.argument("model", type=PATH)
 SOURCES = click.argument("clip", nargs=-1, required=True)
 CROPPED = click.option("--crop", type=CROP, help="Cut this box out of every frame first, px.")
 
@@ -200,9 +200,7 @@ def info(model: Path) -> Steps[Outcome]:
 @main.command("encode")
 @MODEL
 @SOURCES
-@click.option(
-    "-o", "--output", type=click.Path(path_type=Path), required=True, help="The loadings table (.csv)."
-)
+@click.option("-o", "--output", type=PATH, required=True, help="The loadings table (.csv).")
 @CROPPED
 @verb
 def encode(model: Path, clip: tuple[str, ...], **options: Any) -> Steps[Outcome]:
@@ -215,9 +213,7 @@ def encode(model: Path, clip: tuple[str, ...], **options: Any) -> Steps[Outcome]
 @main.command("reconstruct")
 @MODEL
 @SOURCES
-@click.option(
-    "-o", "--output", type=click.Path(path_type=Path), required=True, help="The folder to write into."
-)
+@click.option("-o", "--output", type=PATH, required=True, help="The folder to write into.")
 @click.option("-k", "--components", type=int, help="At most so many components, the first [default: all].")
 @CROPPED
 @verb
@@ -252,9 +248,7 @@ for add in (
 
 
 @main.command("make-actors")
-@click.option(
-    "-o", "--output", type=click.Path(path_type=Path), required=True, help="The folder to write into."
-)
+@click.option("-o", "--output", type=PATH, required=True, help="The folder to write into.")
 @click.option(
     "--identities", type=click.IntRange(0, 1000), default=4, show_default=True, help="How many drawn people."
 )
@@ -311,7 +305,7 @@ def make_actors(**options: Any) -> Steps[Outcome]:
 @click.option(
     "-o",
     "--output",
-    type=click.Path(path_type=Path),
+    type=PATH,
     default="morphspace-demo",
     show_default=True,
     help="The folder to write into.",

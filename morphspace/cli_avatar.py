@@ -3,12 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
-from morphspace.cli_words import BUILD_REPORT, COMPONENTS, NumberList, WeightOrAuto, flow_option, work_option
+from morphspace.cli_words import (
+    BUILD_REPORT,
+    COMPONENTS,
+    PATH,
+    NumberList,
+    WeightOrAuto,
+    flow_option,
+    work_option,
+)
 
 if TYPE_CHECKING:
     from morphspace.progress import Steps
@@ -32,9 +39,7 @@ class CountOrAll(click.ParamType):  # type: ignore[type-arg]
 
 OPTIONS = (
     click.argument("models", nargs=-1, required=True, metavar="A.morph B.morph ..."),
-    click.option(
-        "-o", "--output", type=click.Path(path_type=Path), required=True, help="The model to write (.morph)."
-    ),
+    click.option("-o", "--output", type=PATH, required=True, help="The model to write (.morph)."),
     click.option(
         "--weights",
         type=NumberList("W,W,...", "one a model, such as 1,1,2"),

@@ -8,15 +8,15 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from morphspace.cli_words import PATH
+
 if TYPE_CHECKING:
     from morphspace.progress import Steps
     from morphspace.verbs.outcome import Outcome
 
 OPTIONS = (
-    click.argument("recipe", type=click.Path(path_type=Path)),
-    click.option(
-        "-o", "--output", type=click.Path(path_type=Path), required=True, help="The folder to write into."
-    ),
+    click.argument("recipe", type=PATH),
+    click.option("-o", "--output", type=PATH, required=True, help="The folder to write into."),
     click.option(
         "--workers", type=click.IntRange(1, 1024), help="Processes that draw [default: one a core]."
     ),

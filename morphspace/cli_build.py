@@ -3,12 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 import click
 
-from morphspace.cli_words import BUILD_REPORT, COMPONENTS, CROP, SIZE, WeightOrAuto, flow_option, work_option
+from morphspace.cli_words import (
+    BUILD_REPORT,
+    COMPONENTS,
+    CROP,
+    PATH,
+    SIZE,
+    WeightOrAuto,
+    flow_option,
+    work_option,
+)
 
 
 class CropOrAuto(click.ParamType):  # type: ignore[type-arg]
@@ -26,9 +34,7 @@ class CropOrAuto(click.ParamType):  # type: ignore[type-arg]
 
 OPTIONS = (
     click.argument("clip", nargs=-1, required=True),
-    click.option(
-        "-o", "--output", type=click.Path(path_type=Path), help="The .morph file [default: the clip's name]."
-    ),
+    click.option("-o", "--output", type=PATH, help="The .morph file [default: the clip's name]."),
     COMPONENTS,
     click.option("--size", type=SIZE, help="Model frame size; scales to cover and crops to the middle."),
     click.option(
@@ -46,7 +52,7 @@ OPTIONS = (
     ),
     click.option(
         "--mask",
-        type=click.Path(path_type=Path),
+        type=PATH,
         help="Grey picture on the reference, white where the face is.",
     ),
     click.option("--reference", metavar="FILE", help="The reference frame [default: chosen, and said why]."),

@@ -3,19 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 import click
 
+from morphspace.cli_words import PATH
 from morphspace.flow.names import BACKENDS, DEFAULT, DEFAULT_BACKEND, NAMES, STOCK
 
 OPTIONS = (
-    click.argument("pictures", nargs=-1, type=click.Path(path_type=Path), metavar="A B"),
+    click.argument("pictures", nargs=-1, type=PATH, metavar="A B"),
     click.option(
         "-o",
         "--output",
-        type=click.Path(path_type=Path),
+        type=PATH,
         help="The field: .flo (Middlebury), or .exr with its confidence. With --bench: the table (.csv), optional.",
     ),
     click.option(
@@ -32,18 +32,18 @@ OPTIONS = (
     ),
     click.option(
         "--picture",
-        type=click.Path(path_type=Path),
+        type=PATH,
         help="Draw it: colours, warped grid, B warped back (.png).",
     ),
     click.option(
         "--start",
-        type=click.Path(path_type=Path),
+        type=PATH,
         help="A field on A's grid to start from (.flo, .exr). Without one, or with the word auto: coarse to fine, and "
         "the landmarks' spline where there is one.",
     ),
     click.option(
         "--landmarks",
-        type=click.Path(path_type=Path),
+        type=PATH,
         nargs=2,
         metavar="A.tem B.tem",
         help="The same points marked in A and in B (.tem; .csv or .txt with x,y per line): their spline is tried as a "
@@ -58,7 +58,7 @@ OPTIONS = (
     ),
     click.option(
         "--bench",
-        type=click.Path(path_type=Path),
+        type=PATH,
         help="Instead of A B: a folder of scenes with true flow, in Middlebury's layout; prints errors and times.",
     ),
 )

@@ -5,10 +5,11 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 import click
+
+from morphspace.cli_words import PATH
 
 Pairs = tuple[tuple[float, float], ...]
 
@@ -33,7 +34,7 @@ class ThreePoints(click.ParamType):  # type: ignore[type-arg]
 
 
 OPTIONS = (
-    click.argument("model", type=click.Path(path_type=Path)),
+    click.argument("model", type=PATH),
     click.option(
         "--auto",
         "automatic",
@@ -49,7 +50,7 @@ OPTIONS = (
     click.option(
         "--from",
         "file",
-        type=click.Path(path_type=Path),
+        type=PATH,
         help="A template (.tem, .tps), points (.csv, .txt: x,y per line) or a faceframe (.json).",
     ),
     click.option(
@@ -72,9 +73,7 @@ OPTIONS = (
         show_default=True,
         help="What the points were marked on: the mean face, or the reference frame's own picture.",
     ),
-    click.option(
-        "-o", "--output", type=click.Path(path_type=Path), help="The new .morph file [default: MODEL itself]."
-    ),
+    click.option("-o", "--output", type=PATH, help="The new .morph file [default: MODEL itself]."),
 )
 """In the order of the help."""
 

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import wraps
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
+
+from morphspace.cli_words import PATH
 
 if TYPE_CHECKING:
     from morphspace.progress import Steps
@@ -20,13 +21,13 @@ OPTIONS = (
     click.argument("imitation"),
     click.option(
         "--model",
-        type=click.Path(path_type=Path),
+        type=PATH,
         required=True,
         help="The stimulus' model (.morph): both are measured in its space.",
     ),
     click.option(
         "--imitator",
-        type=click.Path(path_type=Path),
+        type=PATH,
         metavar="B",
         help="The model (.morph) of who imitates, where that is another person: IMITATION is read in it and carried "
         "over by mimicry. Both models need keypoints.",
@@ -34,7 +35,7 @@ OPTIONS = (
     click.option(
         "-o",
         "--output",
-        type=click.Path(path_type=Path),
+        type=PATH,
         help="The folder to write into [default: the imitation's name and -mimicry].",
     ),
     click.option(
@@ -60,7 +61,7 @@ OPTIONS = (
     ),
     click.option(
         "--mask",
-        type=click.Path(path_type=Path),
+        type=PATH,
         help="Measure a part of the face: a grey picture on the mean face, white where it counts.",
     ),
     click.option(

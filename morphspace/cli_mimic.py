@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import wraps
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
+
+from morphspace.cli_words import PATH
 
 if TYPE_CHECKING:
     from morphspace.progress import Steps
@@ -24,15 +25,6 @@ def gain_of(_context: click.Context, _option: click.Parameter, word: str | None)
         return float(word)
     except ValueError as error:
         raise click.BadParameter(f"{word!r} is neither a number nor auto") from error
-
-
-class Folder(click.Path):
-    """A folder by its name; an empty one, which would stand for the current folder, is refused."""
-
-    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
-        if value == "":
-            self.fail("it is empty: name a folder, . for this one")
-        return super().convert(value, param, ctx)
 
 
 OPTIONS = (
@@ -53,7 +45,7 @@ OPTIONS = (
     click.option(
         "-o",
         "--output",
-        type=Folder(path_type=Path),
+        type=PATH,
         required=True,
         help="The folder to write into.",
     ),

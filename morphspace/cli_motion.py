@@ -5,12 +5,11 @@ from __future__ import annotations
 import inspect
 import textwrap
 from collections.abc import Callable
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
-from morphspace.cli_words import CROP, NumberList
+from morphspace.cli_words import CROP, PATH, NumberList
 from morphspace.stimuli.motion_words import WORDS
 
 if TYPE_CHECKING:
@@ -21,12 +20,12 @@ HELP_WIDTH = 96  # of a help page of 100
 SPACINGS = ("loadings", "warp", "ciede2000", "ssim")  # those of `stimuli.continuum`, which is slow to import
 
 TRAJECTORY_OPTIONS = (
-    click.argument("model", type=click.Path(path_type=Path)),
-    click.argument("tables", nargs=-1, required=True, type=click.Path(path_type=Path), metavar="TABLE..."),
+    click.argument("model", type=PATH),
+    click.argument("tables", nargs=-1, required=True, type=PATH, metavar="TABLE..."),
     click.option(
         "-o",
         "--output",
-        type=click.Path(path_type=Path),
+        type=PATH,
         required=True,
         metavar="DIR|NEW.csv",
         help="A folder for the videos, or a new table of loadings, to go on with.",
@@ -36,7 +35,7 @@ TRAJECTORY_OPTIONS = (
     ),
     click.option(
         "--guide",
-        type=click.Path(path_type=Path),
+        type=PATH,
         metavar="TABLE",
         help="Loadings on MODEL too: whose timing `timing` takes on; or the mean trajectory for `caricature` of one "
         "table.",
@@ -62,12 +61,10 @@ TRAJECTORY_OPTIONS = (
 CONTINUUM_OPTIONS = (
     click.argument("first", metavar="A"),
     click.argument("last", metavar="B"),
-    click.option(
-        "-o", "--output", type=click.Path(path_type=Path), required=True, help="The folder to write into."
-    ),
+    click.option("-o", "--output", type=PATH, required=True, help="The folder to write into."),
     click.option(
         "--model",
-        type=click.Path(path_type=Path),
+        type=PATH,
         help="The model that A and B, pictures or rows TABLE.csv:FRAME, are shown with.",
     ),
     click.option(

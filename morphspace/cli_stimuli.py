@@ -5,19 +5,17 @@ from __future__ import annotations
 import importlib
 from collections.abc import Callable, Sequence
 from functools import wraps
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
-from morphspace.cli_words import CROP, FRAME_RATE, MODEL, OUTPUT_FOLDER, NumberList
+from morphspace.cli_words import CROP, FRAME_RATE, MODEL, OUTPUT_FOLDER, PATH, NumberList
 
 if TYPE_CHECKING:
     from morphspace.progress import Steps
     from morphspace.verbs.outcome import Outcome
 
 DIFFERS = 3  # exit code of replay: it was drawn again, and is not the same
-PATH = click.Path(path_type=Path)
 GAINS = NumberList("G,G,...", "them with commas, such as 0.5,1,1.5,-1")
 LOADINGS = click.option(
     "--loadings", type=PATH, metavar="TABLE.csv", help="The faces: rows of a table of loadings."

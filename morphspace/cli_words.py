@@ -12,6 +12,21 @@ import click
 from morphspace.flow.names import DEFAULT, NAMES
 
 
+class NamedPath(click.Path):
+    """A file or folder by its name; an empty one, which would stand for the current folder, is refused."""
+
+    def __init__(self, **options: Any) -> None:
+        super().__init__(path_type=Path, **options)
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        if value == "":
+            self.fail("it is empty: name a file or folder, . for the folder you are in")
+        return super().convert(value, param, ctx)
+
+
+PATH = NamedPath()
+
+
 class Numbers(click.ParamType):  # type: ignore[type-arg]
     """A fixed count of whole numbers written with a separator, such as 200x240 or 10,20,200,240."""
 
@@ -71,10 +86,8 @@ class NumberList(click.ParamType):  # type: ignore[type-arg]
             self.fail(f"{value!r} is not a list of numbers: write {self.meant}")
 
 
-MODEL = click.argument("model", type=click.Path(path_type=Path))
-OUTPUT_FOLDER = click.option(
-    "-o", "--output", type=click.Path(path_type=Path), required=True, help="The folder to write into."
-)
+MODEL = click.argument("model", type=PATH)
+OUTPUT_FOLDER = click.option("-o", "--output", type=PATH, required=True, help="The folder to write into.")
 FRAME_RATE = click.option(
     "--frame-rate", "frame_rate_hz", type=click.FloatRange(1, 1000), help="Frames a second of a video."
 )
@@ -86,9 +99,7 @@ COMPONENTS = click.option(
     show_default=True,
     help="The most components to keep.",
 )
-BUILD_REPORT = click.option(
-    "--report", type=click.Path(path_type=Path), help="The HTML report [default: beside the model]."
-)
+BUILD_REPORT = click.option("--report", type=PATH, help="The HTML report [default: beside the model].")
 
 
 def flow_option(told: str) -> Callable[[Any], Any]:
@@ -98,6 +109,4 @@ def flow_option(told: str) -> Callable[[Any], Any]:
 
 def work_option(kept: str) -> Callable[[Any], Any]:
     """Give the option that keeps what is finished: `kept` says what."""
-    return click.option(
-        "--work-dir", "work_folder", type=click.Path(path_type=Path), help=f"Keep finished {kept} here."
-    )
+    return click.option("--work-dir", "work_folder", type=PATH, help=f"Keep finished {kept} here.")

@@ -479,3 +479,20 @@ def test_a_fault_of_ours_is_json_too(monkeypatch):
     error = json.loads(result.stdout)["error"]
     assert (result.exit_code, error["exit_code"], error["kind"]) == (1, 1, "Fault")
     assert "ZeroDivisionError" in error["message"]
+
+
+def test_an_empty_path_is_never_the_current_folder(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    paths = [
+        (name, param)
+        for name, command in main.commands.items()
+        for param in command.params
+        if isinstance(param.type, click.Path)
+    ]
+    assert len(paths) > 30
+    for name, param in paths:
+        with pytest.raises(click.BadParameter, match="it is empty"):
+            param.type.convert("", param, click.Context(main.commands[name]))
+    result = CliRunner().invoke(main, ["demo", "-o", ""])
+    assert result.exit_code == 2 and "it is empty" in result.output
+    assert not any(tmp_path.iterdir())
