@@ -37,6 +37,7 @@ if TYPE_CHECKING:
     from morphspace.verbs.outcome import Outcome
 
 PROGRESS_AFTER_S = 2.0
+PROGRESS_EVERY_S, IN_A_LOG_EVERY_S = 0.1, 30.0  # on a terminal; in a file, where each is a line more
 INTERRUPTED = 130
 
 
@@ -139,7 +140,13 @@ def _driven(steps: Steps[Outcome], silent: bool) -> Outcome:
                 bar.close()
             stage = step.stage
             bar = tqdm(
-                desc=stage, total=step.total, delay=PROGRESS_AFTER_S, leave=False, file=sys.stderr, unit=" "
+                desc=stage,
+                total=step.total,
+                delay=PROGRESS_AFTER_S,
+                mininterval=PROGRESS_EVERY_S if sys.stderr.isatty() else IN_A_LOG_EVERY_S,
+                leave=False,
+                file=sys.stderr,
+                unit=" ",
             )
         bar.update(step.done - bar.n)
 

@@ -295,6 +295,20 @@ def test_files_of_others_are_never_replaced(lab, tmp_path):
     assert (out / "ann" / "f0_g1.png").read_bytes() == b"mine"
 
 
+def test_tables_of_others_are_never_replaced(lab, tmp_path):
+    made(recipe(lab, CROSSED), tmp_path / "there", workers=1)
+    names = [path.name for path in (tmp_path / "there").glob("loadings_*")]
+    assert len(names) == 4  # of two models, each with its document
+    for name in names:
+        out = tmp_path / Path(name).stem / Path(name).suffix[1:]
+        out.mkdir(parents=True)
+        (out / name).write_bytes(b"mine")
+        with pytest.raises(BadInput, match=f"{name} would be replaced, and is not of a stimulus set"):
+            made(recipe(lab, CROSSED), out, workers=1)
+        assert tree(out) == {name: b"mine"}
+    made(recipe(lab, CROSSED), tmp_path / "there", workers=1)  # its own it takes up
+
+
 def test_two_batches_do_not_write_into_one_folder_at_once(lab, tmp_path):
     steps = batch.run(BatchRequest(recipe(lab, CROSSED), tmp_path / "out", workers=1))
     while next(steps).stage != "batch":

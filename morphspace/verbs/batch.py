@@ -22,6 +22,7 @@ from morphspace.verbs.batch_folders import FolderJob
 from morphspace.verbs.batch_planning import FOLDERS_TABLE, Planned, planned_recipe
 from morphspace.verbs.batch_pool import DrawingPiece, FolderPiece, Piece, made_here, made_in_processes
 from morphspace.verbs.batch_verbs import SETTINGS
+from morphspace.verbs.completing import loadings_tables
 from morphspace.verbs.outcome import Outcome, check_folder, write_record
 from morphspace.verbs.stimulus import make_stimulus
 from morphspace.verbs.stimulus_set import PlannedSet, check_set, complete_set, keep_model
@@ -159,6 +160,7 @@ def write_batch(batch: BatchPlan) -> Steps[Outcome]:
     with _alone(folder):
         read = [batch.request.recipe, *(path for one in planned.sets for path in one.files)]
         tables = [name for one in planned.sets for name in one.tables]
+        tables += [*loadings_tables(planned.sets), *([FOLDERS_TABLE] if planned.folders else [])]
         check_set(folder, [drawing for _, drawing in planned.drawings], read, tables)
         for one in planned.sets:
             keep_model(one)

@@ -28,6 +28,7 @@ OUTLIER_Z = 3.5  # of the modified z-score (Iglewicz and Hoaglin 1993)
 LEAST_FOR_OUTLIERS = 8  # stimuli; of fewer, none can be said to stand out
 NORMAL_MAD = 0.6745  # the median absolute deviation of a normal distribution, in its sd
 LEAST_SPREAD = 0.005  # of a statistic's median: three and a half times that is what an eye can just see
+LOADINGS_KINDS = ("loadings", "colour_loadings")  # where colours are drawn of others than the warp
 
 
 def complete_set(
@@ -167,19 +168,34 @@ def notes_on(rows: Sequence[Mapping[str, Any]]) -> tuple[str, ...]:
     return tuple(notes)
 
 
-def _write_loadings(folder: Path, sets: Sequence[PlannedSet]) -> list[Path]:
-    """Write the loadings of all stimuli, a table a model."""
+def loadings_tables(sets: Sequence[PlannedSet]) -> list[str]:
+    """Give the names of the files that may be written for the loadings of all stimuli, a table a model."""
+    endings = _by_ending(sets)
+    return [
+        f"{kind}{ending}{suffix}"
+        for ending in endings
+        for kind in LOADINGS_KINDS
+        for suffix in (".csv", ".json")
+    ]
+
+
+def _by_ending(sets: Sequence[PlannedSet]) -> dict[str, list[PlannedSet]]:
+    """Give the sets of each model, by what its table's name ends in."""
     by_model: dict[str, list[PlannedSet]] = {}
     for planned in sets:
         by_model.setdefault(planned.model.model_id, []).append(planned)
+    return {"" if len(by_model) == 1 else f"_{model_id}": group for model_id, group in by_model.items()}
+
+
+def _write_loadings(folder: Path, sets: Sequence[PlannedSet]) -> list[Path]:
+    """Write the loadings of all stimuli, a table a model."""
     written: list[Path] = []
-    for model_id, group in by_model.items():
-        ending = "" if len(by_model) == 1 else f"_{model_id}"
+    for ending, group in _by_ending(sets).items():
         drawings = [drawing for planned in group for drawing in planned.drawings]
         first = group[0]
         rates = {drawing.frame_rate_hz for drawing in drawings}
         document = {
-            "model_id": model_id,
+            "model_id": first.model.model_id,
             "model_sha256": first.model_sha256,
             "identity": first.model.identity,
             "consent": first.model.provenance.get("consent"),
@@ -188,10 +204,11 @@ def _write_loadings(folder: Path, sets: Sequence[PlannedSet]) -> list[Path]:
             "versions": versions(),
         }
         names = [name for drawing in drawings for name in frame_names(drawing)]
-        kinds = [("loadings", [drawing.loadings_sd for drawing in drawings])]
+        plain, coloured = LOADINGS_KINDS
+        kinds = [(plain, [drawing.loadings_sd for drawing in drawings])]
         if any(drawing.colour_sd is not None for drawing in drawings):
             colours = [one.loadings_sd if one.colour_sd is None else one.colour_sd for one in drawings]
-            kinds.append(("colour_loadings", colours))
+            kinds.append((coloured, colours))
         for kind, tables in kinds:
             path = folder / f"{kind}{ending}.csv"
             write_loadings_table(path, _stacked(tables), names, document)
