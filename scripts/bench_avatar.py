@@ -33,16 +33,7 @@ from morphspace.reference import spread
 from morphspace.registration import fitted_similarity
 from morphspace.warp import apply_affine
 
-GROUPS = (
-    ("lp_d18", "lp_d13", "lp_d0", "lp_d9"),
-    ("lp_d18", "lp_d13", "lp_d6", "lp_d9"),
-    (
-        "grid_pwij3p",
-        "grid_lbax4n",
-        "grid_lrwp9a",
-        "obama_a",
-    ),  # held back: nothing was chosen by a look at them
-)
+GROUPS = (("lp_d18", "lp_d13", "lp_d0", "lp_d9"), ("lp_d18", "lp_d13", "lp_d6", "lp_d9"))
 JUDGED = 24  # expressions of each identity, evenly spread
 VIEWS = 8  # copies of a picture the judge averages over
 LAW_EXPRESSIONS = 10

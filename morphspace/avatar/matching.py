@@ -32,6 +32,7 @@ from morphspace.model import MorphModel
 
 AROUND_LIPS = 0.03  # of the width: how far around the lips an expression has its own correspondence
 SOFT = 0.015  # of the width, sd of the edge of that
+DOUBT = 2.5  # how much more a regression errs on an expression carried over than on those it was learned from
 MOST_BEYOND_START = 0.04  # of the width: how far the flow may leave where it starts
 HOLDING = tuple(sorted({*LIPS, PHILTRUM, *RIGID_POINTS, *CHEEKS_AND_CHIN}))
 """Places in the mesh of what holds the mouth: its lips, and what stands around them."""
@@ -126,5 +127,5 @@ class Matcher:
 def _sure(off: Points, one: Landmarks, other: Landmarks) -> Points:
     """Give how far points (m, 2) px are surely off: little of what the regressions err by themselves."""
     square = (off**2).sum(axis=1)
-    doubt = one.error_px**2 + other.error_px**2
+    doubt = DOUBT**2 * (one.error_px**2 + other.error_px**2)
     return off * (square / np.maximum(square + doubt, np.finfo(float).tiny))[:, None]
