@@ -97,8 +97,8 @@ OPTIONS = (
         type=click.Choice(["expression", "rest"]),
         default="expression",
         show_default=True,
-        help="What lies on what between people: as their mean faces do, at rest, or at the mouth found anew in each "
-        "expression.",
+        help="How people are matched. rest: as their mean faces are; expression: at the mouth also anew in each "
+        "expression, by landmarks (`keypoints --auto`) and flow.",
     ),
     flow_option("The flow estimator, between the people and of the final model."),
     COMPONENTS,

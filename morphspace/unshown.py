@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import cv2
 import numpy as np
 
 from morphspace.arrays import AnyArray, Displacement, Mask
@@ -33,9 +32,9 @@ class Unshown:
     def added(self, missing: Displacement, morph: Morph) -> Morph:
         """Give the face with its share of what is `missing` (h, w, 2) px, without folds."""
         right, down = (self.share * missing[..., axis] for axis in (0, 1))
-        held = cv2.magnitude(right, down)
-        held *= np.float32(1 / self.limit_px)
-        held *= held
+        held = right * right  # cv2.magnitude differs in its last bits with where the memory lies
+        held += down * down
+        held *= np.float32(1 / self.limit_px**2)
         held += 1
         np.sqrt(held, out=held)
         moved = np.empty_like(morph.displacement)

@@ -254,9 +254,11 @@ def test_who_knows_no_landmarks_is_told_where_mouths_are_matched(anna, ben):
     def said(one, other, **settings):
         return " ".join(notes_on(studio_of([one, other], AvatarSettings(**settings)), (), 1.0))
 
-    assert "anna, ben know no landmarks" in said(anna, ben)
-    assert "ben knows no landmarks" in said(with_lips(anna, 1.0), ben)
-    assert "landmarks" not in said(with_lips(anna, 1.0), with_lips(ben, 1.0))
+    known = [with_lips(mesh_on(m), 1.0) for m in (anna, ben)]
+    assert "anna, ben lack mesh points or landmarks" in said(anna, ben)
+    assert "ben lacks mesh points or landmarks" in said(known[0], ben)
+    assert "ben lacks mesh points or landmarks" in said(known[0], with_lips(ben, 1.0))
+    assert "landmarks" not in said(*known)
     assert "landmarks" not in said(anna, ben, correspondence="rest")
     assert "landmarks" not in said(anna, ben, weights=(1, 0))
     with pytest.raises(BadInput, match="no correspondence by 'both'"):

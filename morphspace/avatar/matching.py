@@ -40,7 +40,10 @@ HOLDING = tuple(sorted({*LIPS, PHILTRUM, *RIGID_POINTS, *CHEEKS_AND_CHIN}))
 
 @dataclass(frozen=True, eq=False)
 class Landmarks:
-    """Landmarks of a version: `points` (m, 2) px in its aligned picture, and by how much they err, `error_px` (m,)."""
+    """Landmarks of a version: `points` (m, 2) px in its aligned picture, and by how much they err, `error_px` (m,).
+
+    A point that the warp carries, and no regression, counts as without error.
+    """
 
     points: Points
     error_px: AnyArray
@@ -85,8 +88,8 @@ class Matcher:
             off = _sure(found.points - warp.move_points(at_rest, points.points), points, found)
             start = unfolded(at_rest + held(points.points + off))
             picture, inverse = self._picture(i, versions[i])
-            rest = find(warp.sample(picture, start), None).displacement
-            field = warp.compose(start, shortened(rest, MOST_BEYOND_START * width))
+            beyond = find(warp.sample(picture, start), None).displacement
+            field = warp.compose(start, shortened(beyond, MOST_BEYOND_START * width))
             field = unfolded(at_rest + region * (field - at_rest))
             displacement = warp.compose(field, there)
             texture = warp.sample(np.array(versions[i].morph.texture), warp.compose(inverse, displacement))
@@ -102,8 +105,7 @@ class Matcher:
 
         Points that are not regressed go where the warp takes them.
         """
-        model = self.models[i]
-        mesh, learned = landmarks_of(model), model.landmarks
+        mesh, learned = landmarks_of(self.models[i]), self.models[i].landmarks
         if mesh is None or learned is None:
             return None
         points, error_px = warp.move_points(version.morph.displacement, mesh), np.zeros(POINT_COUNT)
@@ -122,6 +124,11 @@ class Matcher:
         """Give a version's aligned picture (h, w, 3), and where each of its pixels comes from (h, w, 2) px."""
         inverse = warp.invert(placed(version.morph.displacement, self.places[i]))
         return warp.sample(np.array(version.morph.texture), inverse), inverse
+
+
+def holds_a_mouth(model: MorphModel) -> bool:
+    """Tell whether a model knows what holds a mouth: the mesh points of its mean face, and its landmarks."""
+    return landmarks_of(model) is not None and model.landmarks is not None
 
 
 def _sure(off: Points, one: Landmarks, other: Landmarks) -> Points:

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from morphspace.arrays import Points
+from morphspace.avatar.matching import holds_a_mouth
 from morphspace.avatar.settings import MOST_SHARPEN, REST, SOURCE, Expression
 from morphspace.avatar.studio import Studio
 from morphspace.facepoints import LEFT_IRIS, LEFT_LIDS, RIGHT_IRIS, RIGHT_LIDS
@@ -64,13 +65,12 @@ def _left_out(studio: Studio, expressions: Sequence[Expression]) -> list[str]:
 
 
 def _without_landmarks(studio: Studio) -> list[str]:
-    models = studio.models
-    without = [studio.labels[given] for given in studio.part if models[given].landmarks is None]
+    without = [studio.labels[given] for given in studio.part if not holds_a_mouth(studio.models[given])]
     if studio.settings.correspondence == REST or len(studio.part) < 2 or not without:
         return []
     return [
-        f"{', '.join(without)} {'know' if len(without) > 1 else 'knows'} no landmarks: even at the mouth others lie on "
-        "that face as they do at rest"
+        f"{', '.join(without)} {'lack' if len(without) > 1 else 'lacks'} mesh points or landmarks, so mouths are "
+        "matched there as at rest: look for them with `morphspace keypoints --auto`, or say --correspondence rest"
     ]
 
 

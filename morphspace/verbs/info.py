@@ -52,7 +52,8 @@ def _blend_lines(model: MorphModel) -> tuple[str, ...]:
     return (
         "sources    " + ", ".join(f"{name} {weight:.2g}" for name, weight in shares),
         f"surround   hair, ears, neck and background of {surround}",
-        f"method     {blend['method']}, bounded to {blend['max_sd']:g} SD; laid on {blend['reference']}, aligned onto "
+        f"method     {blend['method']}, bounded to {blend['max_sd']:g} SD; laid on {blend['reference']}"
+        f"{', mouths anew in each expression' if blend.get('correspondence') == 'expression' else ''}, aligned onto "
         f"the faceframe {_FACEFRAMES.get(blend['faceframe'], 'of ' + blend['faceframe'])}; sharpened by "
         f"{blend['sharpen']:.2f}",
     )
