@@ -29,7 +29,7 @@ from morphspace.cli_mimic import add_mimic
 from morphspace.cli_models import add_models
 from morphspace.cli_motion import add_motion
 from morphspace.cli_stimuli import add_stimuli
-from morphspace.cli_words import CROP, PATH, SIZE
+from morphspace.cli_words import CROP, MODEL, OUTPUT_FOLDER, PATH, SIZE
 from morphspace.errors import BadInput, MorphspaceError
 
 if TYPE_CHECKING:
@@ -179,7 +179,6 @@ def _fail(message: str, code: int, kind: str | None = None) -> None:
     sys.exit(code)
 
 
-MODEL = click.argument("model", type=PATH)
 SOURCES = click.argument("clip", nargs=-1, required=True)
 CROPPED = click.option("--crop", type=CROP, help="Cut this box out of every frame first, px.")
 
@@ -220,7 +219,7 @@ def encode(model: Path, clip: tuple[str, ...], **options: Any) -> Steps[Outcome]
 @main.command("reconstruct")
 @MODEL
 @SOURCES
-@click.option("-o", "--output", type=PATH, required=True, help="The folder to write into.")
+@OUTPUT_FOLDER
 @click.option("-k", "--components", type=int, help="At most so many components, the first [default: all].")
 @CROPPED
 @verb
@@ -255,7 +254,7 @@ for add in (
 
 
 @main.command("make-actors")
-@click.option("-o", "--output", type=PATH, required=True, help="The folder to write into.")
+@OUTPUT_FOLDER
 @click.option(
     "--identities", type=click.IntRange(0, 1000), default=4, show_default=True, help="How many drawn people."
 )

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from morphspace.cli_words import PATH
+from morphspace.cli_words import OUTPUT_FOLDER, PATH
 
 if TYPE_CHECKING:
     from morphspace.progress import Steps
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 OPTIONS = (
     click.argument("recipe", type=PATH),
-    click.option("-o", "--output", type=PATH, required=True, help="The folder to write into."),
+    OUTPUT_FOLDER,
     click.option(
         "--workers", type=click.IntRange(1, 1024), help="Processes that draw [default: one a core]."
     ),

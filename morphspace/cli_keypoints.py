@@ -9,7 +9,7 @@ from typing import Any
 
 import click
 
-from morphspace.cli_words import PATH
+from morphspace.cli_words import MODEL, PATH
 
 Pairs = tuple[tuple[float, float], ...]
 
@@ -34,7 +34,7 @@ class ThreePoints(click.ParamType):  # type: ignore[type-arg]
 
 
 OPTIONS = (
-    click.argument("model", type=PATH),
+    MODEL,
     click.option(
         "--auto",
         "automatic",

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from morphspace.cli_words import PATH
+from morphspace.cli_words import OUTPUT_FOLDER
 
 if TYPE_CHECKING:
     from morphspace.progress import Steps
@@ -42,13 +42,7 @@ OPTIONS = (
         metavar="B",
         help="Whose face: a model (.morph), or a clip to build one of.",
     ),
-    click.option(
-        "-o",
-        "--output",
-        type=PATH,
-        required=True,
-        help="The folder to write into.",
-    ),
+    OUTPUT_FOLDER,
     click.option(
         "--frames",
         metavar="CLIP",

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from morphspace.cli_words import CROP, PATH, NumberList
+from morphspace.cli_words import CROP, MODEL, OUTPUT_FOLDER, PATH, NumberList
 from morphspace.stimuli.motion_words import WORDS
 
 if TYPE_CHECKING:
@@ -20,7 +20,7 @@ HELP_WIDTH = 96  # of a help page of 100
 SPACINGS = ("loadings", "warp", "ciede2000", "ssim")  # those of `stimuli.continuum`, which is slow to import
 
 TRAJECTORY_OPTIONS = (
-    click.argument("model", type=PATH),
+    MODEL,
     click.argument("tables", nargs=-1, required=True, type=PATH, metavar="TABLE..."),
     click.option(
         "-o",
@@ -61,7 +61,7 @@ TRAJECTORY_OPTIONS = (
 CONTINUUM_OPTIONS = (
     click.argument("first", metavar="A"),
     click.argument("last", metavar="B"),
-    click.option("-o", "--output", type=PATH, required=True, help="The folder to write into."),
+    OUTPUT_FOLDER,
     click.option(
         "--model",
         type=PATH,
