@@ -12,20 +12,20 @@ __version__ = "0.1.0"
 
 _HOMES = {
     "BadInput": "errors",
-    "FaceFrame": "faces",
-    "Framing": "faces",
-    "Loadings": "model",
-    "Morph": "morph",
-    "MorphModel": "model",
-    "MorphOffset": "morph",
+    "FaceFrame": "face.faceframe",
+    "Framing": "io.framing",
+    "Loadings": "model.model",
+    "Morph": "model.morph",
+    "MorphModel": "model.model",
+    "MorphOffset": "model.morph",
     "MorphspaceError": "errors",
     "build_model": "verbs.build_model",
-    "deserialise": "morph",
-    "load_model": "model",
-    "open_clip": "files.clips",
-    "read_image": "files.images",
-    "serialise": "morph",
-    "write_image": "files.images",
+    "deserialise": "model.morph",
+    "load_model": "model.model",
+    "open_clip": "io.clips",
+    "read_image": "io.images",
+    "serialise": "model.morph",
+    "write_image": "io.images",
 }
 __all__ = ["__version__", *sorted(_HOMES)]
 

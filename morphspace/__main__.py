@@ -1,5 +1,5 @@
 """`python -m morphspace` is `morphspace`."""
 
-from morphspace.cli import main
+from morphspace.cli.main import main
 
 main(prog_name="morphspace")

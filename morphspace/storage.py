@@ -26,6 +26,7 @@ from morphspace.errors import UnreadableFile, UnwritableFile
 ALIGNMENT = 64  # bytes; the data start on a cache line, so that maps of float32 and float64 are aligned
 MAX_HEADER_BYTES = 100_000_000  # the safetensors limit; a larger number means random bytes
 KEPT_NAME = 40  # characters a temporary file keeps of a name, so that it stays within the system's limit
+KEY_DIGITS = 32  # hexadecimal digits of the digest that names a kept file
 READ_BLOCK = 1 << 20  # bytes read at a time while digesting
 CHECK = "check the name and the permissions"
 DTYPES = {

@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
-from morphspace import warp
-from morphspace.basis import fit_basis
-from morphspace.faces import face_mask
-from morphspace.model import Loadings, MorphModel, inner_product, model_digest
-from morphspace.morph import Morph, parts_of, vector_of
-from morphspace.rows import RowArray
+from morphspace.face.faceframe import face_mask
+from morphspace.grid import warp
+from morphspace.linear.pca import fit_basis
+from morphspace.linear.rows import RowArray
+from morphspace.model.model import Loadings, MorphModel, inner_product, model_digest
+from morphspace.model.morph import Morph, parts_of, vector_of
 
 HEIGHT, WIDTH = 72, 60
 MOUTH_ROW = 50  # the slit lies between this row and the next

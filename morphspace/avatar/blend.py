@@ -1,365 +1,165 @@
-"""From models to an avatar: every expression blended into a picture, and a model of the pictures (Nagle section 4).
+"""The weighted mean morph of an expression's versions, on one grid, and what surrounds it (Nagle section 4, step 8).
 
-A blended picture is a file in the work folder named after all it depends on. It is kept unsharpened: the amount of
-sharpening follows from all of them.
+Identity and expression are mixed apart: the identity is the weighted mean of all mean faces, always; the expression is
+the weighted mean of what each version adds to its own mean face, and versions that cannot be believed add less or
+nothing. Where all are believed that is the plain weighted mean of the versions. So the face stays the same person when
+one of its identities cannot follow. (Ours.)
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
-from pathlib import Path
-from typing import Any
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
 
-import cv2
 import numpy as np
 
-from morphspace.arrays import AnyArray, Image, Mask
-from morphspace.avatar.common_face import version_picture
-from morphspace.avatar.mixing import Mixer
-from morphspace.avatar.notes import notes_on
-from morphspace.avatar.settings import MOST_SHARPEN, AvatarSettings, Expression
-from morphspace.avatar.sharpness import WELL_INSIDE, Curve, curve, mean_curve, sharpened, sharpness
-from morphspace.avatar.studio import Studio, studio_of
-from morphspace.build import Build, BuildSettings, build_steps
-from morphspace.errors import BadInput
-from morphspace.faces import RegistrationKind
-from morphspace.keypoints import affine_between, lip_of, reference_to_mean, required_faceframe
-from morphspace.model import MorphModel
-from morphspace.progress import Step, Steps, in_order
-from morphspace.reference import spread
-from morphspace.storage import digest_of_json, read_container, write_container
-from morphspace.warp import move_points
-from morphspace.workframes import FLOW_VERSION, KEY_DIGITS, is_whole
+from morphspace.arrays import Affine, AnyArray, Image, Mask
+from morphspace.avatar.bands import Shown, banded, changed, detail_of, strength
+from morphspace.avatar.common_grid import CommonFace, Laid, around, check_finite, version_picture
+from morphspace.avatar.sharpness import WELL_INSIDE
+from morphspace.avatar.versions import Version, believed
+from morphspace.flow.folds import unfolded
+from morphspace.grid import warp
 
-BLEND_FORMAT = "morphspace-blend-1"
-BLEND_VERSION = 5  # raise it when blends come out otherwise: kept pictures are then made again
-PIXEL_AVERAGES = 16  # expressions, evenly spread, of which the pixel average is made for comparison
-LEAST_EXPRESSIONS = 3
-KEPT = 0.77  # of the pictures' sharpness comes back from the finished model; measured on two groups of four people
-NEAR = (0.93, 1.10)  # of what is wanted: further off, the model is built once more with another amount
-DRAWN = 24  # expressions, evenly spread, of which the finished model's sharpness is the mean
-TINY = 1e-9
-REGISTRATION: RegistrationKind = "similarity"  # of pictures the finished model is given
+GREY = 0.5  # of a flat surround
+LEAST_SKIN = 1e-3  # share that hair keeps: where all have hair, all count alike
+
+Match = Callable[[Sequence[Version], Mapping[int, Laid]], Mapping[int, Laid]]
 
 
 @dataclass(frozen=True, eq=False)
-class BlendedFrames:
-    """The blended pictures as a `FrameSource`: `files` in the work folder, sharpened by `amount` inside `masks`."""
+class Mixer:
+    """Mixes versions onto one faceframe.
 
-    names: tuple[str, ...]
-    files: tuple[Path, ...]
-    masks: tuple[Mask, ...]
-    amount: float
-
-    @property
-    def digests(self) -> tuple[str, ...]:
-        """A digest of what each picture was made from."""
-        return tuple(digest_of_json([file.stem, self.amount]) for file in self.files)
-
-    def images(self, indices: list[int]) -> Iterator[Image]:
-        """Give the pictures (h, w, 3) at these indices, in [0, 1]."""
-        for index in indices:
-            plain = np.array(read_container(self.files[index])[0]["image"])
-            yield np.clip(sharpened(plain, self.masks[index], self.amount), 0, 1)
-
-
-@dataclass(frozen=True, eq=False)
-class Avatar:
-    """A blended identity.
-
-    `model` | `identities` (k,), each by a name of its own, as they were given, and their `weights` (k,), sum 1 |
-    `expressions`, one a training frame of the model | `reference`, the expression the model was built on |
-    `reference_identity` and `surround`, by place in `identities`; `surround` None for flat grey | `sharpen` the amount
-    used | `sharpness` in one region of the face that all have: "sources" (k,), "blend" as its model draws it,
-    "pictures" it was built from, "unsharpened" before the mask, "pixel average" | `notes` | `build`, the ordinary build
-    of the model.
+    `common` the grid | `weights` (n,) of the identities, sum 1 | `places` (2, 3) each, from their pictures to the
+    aligned picture | `surround` the identity whose hair, neck and background stay, None for flat grey
+    | `match` what an expression's own correspondence makes of the versions on the grid.
     """
 
-    model: MorphModel
-    identities: tuple[str, ...]
+    common: CommonFace
     weights: AnyArray
-    expressions: tuple[Expression, ...]
-    reference: int
-    reference_identity: int
+    places: Sequence[Affine]
     surround: int | None
-    sharpen: float
-    sharpness: Mapping[str, Any]
-    notes: tuple[str, ...]
-    build: Build = field(repr=False)
-    studio: Studio = field(repr=False)
-    chosen: Sequence[tuple[int, int]] = field(repr=False)
-    frames: BlendedFrames = field(repr=False)
+    match: Match | None = None
 
-    @property
-    def judged(self) -> AnyArray:
-        """Where (h, w), bool, the avatar's mean face shows what all have: face, and nobody's hair."""
-        return self.studio.mixer(self.studio.reference).judged_picture > WELL_INSIDE
+    @cached_property
+    def rest(self) -> tuple[Laid, ...]:
+        """The mean face of each identity on the grid."""
+        models = self.common.models
+        return tuple(self.common.laid(i, models[i].mean, place) for i, place in enumerate(self.places))
 
-    def versions(self, index: int) -> list[Image]:
-        """Give the k aligned versions (h, w, 3) of expression `index`; the mean face of one that takes no part."""
-        source, frame = self.chosen[index]
-        return self.studio.pictures(source, self.studio.versions(source, frame))
+    @cached_property
+    def mean(self) -> Laid:
+        """The weighted mean of the mean faces: who the avatar is."""
+        mean = _sum(self.weights, self.rest)
+        return Laid(self._without_hair(), mean.displacement)
 
-    def blend(self, index: int) -> Image:
-        """Give the blended picture (h, w, 3) of expression `index`, as the model was built from."""
-        return next(self.frames.images([index]))
+    def _without_hair(self) -> Image:
+        """Give the weighted mean texture, where some show hair over the forehead of those who show skin."""
+        total = np.zeros_like(self.rest[0].texture)
+        weight = np.zeros((*self.common.mask.shape, 1), np.float32)
+        for share, skin, one in zip(self.weights, self.common.skin, self.rest, strict=True):
+            counts = np.float32(share) * (skin + np.float32(LEAST_SKIN))[..., None]
+            total += counts * one.texture
+            weight += counts
+        total /= weight
+        return total
 
-    def pixel_average(self, index: int) -> Image:
-        """Give Galton's average of expression `index` (h, w, 3): the weighted mean of the versions, pixel by pixel."""
-        return _pixel_average(self.versions(index), self.weights)
+    @cached_property
+    def near(self) -> Mask:
+        """Where motion of the face may still move what surrounds it, (h, w)."""
+        return around(self.common.mask)
 
+    @cached_property
+    def mask_picture(self) -> Mask:
+        """The mask (h, w) as it lies in the aligned picture of the mean face."""
+        return np.clip(warp.render(self.common.mask[..., None], self.mean.displacement)[..., 0], 0, 1)
 
-def blend_steps(models: Sequence[MorphModel], settings: AvatarSettings, work_folder: Path) -> Steps[Avatar]:
-    """Blend models into an avatar; a generator of steps that returns an `Avatar`.
+    @cached_property
+    def judged_picture(self) -> Mask:
+        """The part (h, w) of the picture of the mean face in which sharpness is compared: everybody's skin."""
+        skin = np.min([self.common.mask, *self.common.skin], axis=0)
+        return np.clip(warp.render(skin[..., None], self.mean.displacement)[..., 0], 0, 1)
 
-    Raises `BadInput` for fewer than two models, models without keypoints, of different sizes or without components, and
-    settings that do not fit them. The order of the models changes nothing but the order of what is told about them.
-    """
-    studio, chosen = checked(models, settings)
-    work_folder.mkdir(parents=True, exist_ok=True)
-    files = yield from _blend_pass(studio, chosen, work_folder)
-    told = [read_container(file)[1] for file in files]
-    expressions = _expressions(studio, chosen, told)
-    measured = _sharpness(studio, chosen, told)
-    curves = mean_curve([Curve(*one["curve"]) for one in told])
-    wanted = float(measured["sources"] @ studio.weights)
-    masks = {source: studio.mixer(source).mask_picture for source in {source for source, _ in chosen}}
-    names, all_masks = tuple(one.name for one in expressions), tuple(masks[source] for source, _ in chosen)
-    amount = _amount(curves, wanted / KEPT) if settings.sharpen is None else settings.sharpen
-    frames = BlendedFrames(names, tuple(files), all_masks, amount)
-    build = yield from _build(studio, chosen, frames, work_folder, amount)
-    drawn = _drawn_sharpness(studio, chosen, build.model)
-    again = amount
-    if settings.sharpen is None and not NEAR[0] <= drawn / max(wanted, TINY) <= NEAR[1]:
-        again = _amount(curves, wanted * curves.at(amount) / max(drawn, TINY))
-    if again != amount:
-        amount = again
-        frames = replace(frames, amount=amount)
-        build = yield from _build(studio, chosen, frames, work_folder, amount)
-        drawn = _drawn_sharpness(studio, chosen, build.model)
-    measured["blend"], measured["pictures"], measured["unsharpened"] = drawn, curves.at(amount), curves.plain
-    surround = None if studio.surround is None else studio.part[studio.surround]
-    return Avatar(
-        model=build.model,
-        identities=studio.labels,
-        weights=studio.weights,
-        expressions=expressions,
-        reference=build.choice.index,
-        reference_identity=studio.part[studio.reference],
-        surround=surround,
-        sharpen=amount,
-        sharpness=measured,
-        notes=(*notes_on(studio, expressions, drawn / wanted if wanted > 0 else 1.0), *build.warnings),
-        build=build,
-        studio=studio,
-        chosen=chosen,
-        frames=frames,
-    )
+    def used(self, versions: Sequence[Version]) -> AnyArray:
+        """Give the weights (n,), sum 1, with which the versions' motion and colour count."""
+        weights = self.weights * np.array([believed(version) for version in versions])
+        out: AnyArray = weights / weights.sum()  # the source's own counts in full, so the sum is above 0
+        return out
 
+    def mixed(self, versions: Sequence[Version]) -> Image:
+        """Give the blended picture (h, w, 3) of an expression's versions, one an identity."""
+        blend = self.blended(versions)
+        return warp.render(blend.texture, blend.displacement)
 
-def checked(
-    models: Sequence[MorphModel], settings: AvatarSettings
-) -> tuple[Studio, Sequence[tuple[int, int]]]:
-    """Give all that blends, and which expressions are blended; costs little. Raises `BadInput` as `blend_steps`."""
-    studio = studio_of(models, settings)
-    chosen = studio.chosen()
-    if len(chosen) < LEAST_EXPRESSIONS:
-        raise BadInput(
-            f"{len(chosen)} expressions are too few for a model: ask for at least {LEAST_EXPRESSIONS}, or give models "
-            "of more frames"
+    def blended(self, versions: Sequence[Version]) -> Laid:
+        """Give the blended morph on the common grid, surround included, without folds."""
+        used = self.used(versions)
+        laid = {
+            i: self.common.laid(i, version.morph, self.places[i])
+            for i, version in enumerate(versions)
+            if used[i] > 0 or i == self.surround
+        }
+        matched = laid if self.match is None else self.match(versions, laid)
+        offsets = {
+            i: Laid(one.texture - self.rest[i].texture, one.displacement - self.rest[i].displacement)
+            for i, one in matched.items()
+        }
+        added = _sum([used[i] for i in offsets], list(offsets.values()))
+        outside = self._outside(versions, laid, added)
+        inside = self.common.mask[..., None]
+        texture = self._face(versions, offsets, added.texture)
+        displacement = self.mean.displacement + added.displacement
+        texture = outside.texture + inside * (texture - outside.texture)
+        displacement = outside.displacement + inside * (displacement - outside.displacement)
+        return Laid(texture, unfolded(displacement))
+
+    def _face(self, versions: Sequence[Version], offsets: dict[int, Laid], added: Image) -> Image:
+        """Mix the textures, band by band: who cannot be believed shows what the others add, where that is little."""
+        another = changed(added)
+        shown = []
+        for i, (version, rest, skin) in enumerate(zip(versions, self.rest, self.common.skin, strict=True)):
+            sure = np.float32(believed(version))
+            own = offsets[i].texture - added if sure > 0 else np.float32(0)
+            share = (skin + np.float32(LEAST_SKIN)) * (1 - (1 - sure) * another)
+            shown.append(Shown(rest.texture + added + sure * own, share, float(self.weights[i])))
+        return banded(self.mean.texture + added, shown, self.usual)
+
+    @cached_property
+    def usual(self) -> tuple[float, ...]:
+        """How strong each identity's finest detail is in its mean face."""
+        inside = self.common.mask > WELL_INSIDE
+        return tuple(
+            float(strength(detail_of(one.texture))[inside].mean()) if inside.any() else 1.0
+            for one in self.rest
         )
-    return studio, chosen
+
+    def picture(self, identity: int, version: Version) -> Image:
+        """Give a version (h, w, 3) by itself, aligned as the blend is."""
+        check_finite(self.common.models[identity], version.morph)
+        return version_picture(version.morph, self.places[identity])
+
+    def _outside(self, versions: Sequence[Version], laid: dict[int, Laid], added: Laid) -> Laid:
+        """Give what surrounds the face: as its identity shows the expression, so far as that is believed.
+
+        What is not believed rests, and follows the blend's motion next to the mask only, so that a jaw does not tear.
+        """
+        near = self.near[..., None]
+        if self.surround is None:
+            grey = np.full_like(self.mean.texture, GREY)
+            return Laid(grey, self.mean.displacement + near * added.displacement)
+        own, rest = laid[self.surround], self.rest[self.surround]
+        share = believed(versions[self.surround])
+        texture = rest.texture + share * (own.texture - rest.texture)
+        moved = share * (own.displacement - rest.displacement) + (1 - share) * near * added.displacement
+        return Laid(texture, rest.displacement + moved)
 
 
-def _blend_pass(studio: Studio, chosen: Sequence[tuple[int, int]], work_folder: Path) -> Steps[list[Path]]:
-    """Blend each expression, or find it in the work folder; give each one's file."""
-    common = [BLEND_FORMAT, BLEND_VERSION, FLOW_VERSION, cv2.__version__, studio.identity()]
-    compared = set(spread(len(chosen), PIXEL_AVERAGES))
-    files = [
-        work_folder / f"{digest_of_json([*common, *one, index in compared])[:KEY_DIGITS]}.blend"
-        for index, one in enumerate(chosen)
-    ]
-    missing = [index for index, file in enumerate(files) if not is_whole(file)]
-    finished = len(files) - len(missing)
-    if finished:
-        yield Step("blend", finished, len(files))
-    for source in sorted({chosen[index][0] for index in missing}):
-        mixer, shows = studio.mixer(source), studio.shows(source)
-        _ = mixer.mean, mixer.near, mixer.usual, mixer.judged_picture  # before threads share them
-
-        def make(index: int, source: int = source, mixer: Mixer = mixer, shows: Any = shows) -> None:
-            versions = studio.cast.versions(source, shows, chosen[index][1])
-            image = mixer.mixed(versions)
-            grows = curve(image, mixer.judged_picture)
-            own = sharpness(mixer.picture(source, versions[source]), mixer.judged_picture)
-            document: dict[str, Any] = {
-                "format": BLEND_FORMAT,
-                "used": mixer.used(versions).tolist(),
-                "plausibility": [version.plausibility for version in versions],
-                "curve": [grows.plain, grows.shared, grows.added],
-                "source_sharpness": own,
-            }
-            if index in compared:
-                average = _pixel_average(
-                    [mixer.picture(i, version) for i, version in enumerate(versions)], mixer.weights
-                )
-                document["pixel_average_sharpness"] = sharpness(average, mixer.judged_picture)
-            write_container(files[index], {"image": image}, document)
-
-        for _ in in_order(make, [index for index in missing if chosen[index][0] == source]):
-            finished += 1
-            yield Step("blend", finished, len(files))
-    return files
-
-
-def _pixel_average(pictures: Sequence[Image], weights: AnyArray) -> Image:
-    total = np.zeros_like(pictures[0])
-    for weight, picture in zip(weights, pictures, strict=True):
-        total += np.float32(weight) * picture
-    return total
-
-
-def _expressions(
-    studio: Studio, chosen: Sequence[tuple[int, int]], told: Sequence[Mapping[str, Any]]
-) -> tuple[Expression, ...]:
-    made = []
-    for (source, frame), one in zip(chosen, told, strict=True):
-        given = studio.part[source]
-        name = str(studio.models[given].training.frame_names[frame])
-        weights, plausibility = np.zeros(len(studio.models)), np.zeros(len(studio.models))
-        weights[list(studio.part)] = one["used"]
-        plausibility[list(studio.part)] = one["plausibility"]
-        made.append(Expression(given, name, f"{studio.labels[given]}_{name}", weights, plausibility))
-    return tuple(made)
-
-
-def _sharpness(
-    studio: Studio, chosen: Sequence[tuple[int, int]], told: Sequence[Mapping[str, Any]]
-) -> dict[str, Any]:
-    """Give the mean sharpness of each identity's own expressions (k,), and of the pixel averages."""
-    measured: dict[str, list[float]] = {}
-    for (source, _), one in zip(chosen, told, strict=True):
-        measured.setdefault(studio.cast.keys[source], []).append(one["source_sharpness"])
-    sources = [
-        float(np.mean(measured[key])) if key in measured else _mean_sharpness(studio, model)
-        for key, model in zip(studio.keys, studio.models, strict=True)
-    ]
-    averages = [one["pixel_average_sharpness"] for one in told if "pixel_average_sharpness" in one]
-    return {"sources": np.array(sources), "pixel average": float(np.mean(averages))}
-
-
-def _amount(curves: Curve, wanted: float) -> float:
-    return min(curves.amount_for(wanted), MOST_SHARPEN)
-
-
-def _drawn_sharpness(studio: Studio, chosen: Sequence[tuple[int, int]], model: MorphModel) -> float:
-    """Give the mean sharpness of the training faces as the finished model draws them."""
-    some = spread(len(chosen), DRAWN)
-
-    def look(index: int) -> float:
-        picture = model.render(model.training.values[index])
-        return sharpness(picture, studio.mixer(chosen[index][0]).judged_picture)
-
-    for index in some:
-        _ = studio.mixer(chosen[index][0]).judged_picture  # before threads share it
-    return float(np.mean(list(in_order(look, some))))
-
-
-def _mean_sharpness(studio: Studio, model: MorphModel) -> float:
-    """Give the sharpness of the mean face of one that takes no part."""
-    onto = affine_between(required_faceframe(model), studio.faceframe(0))
-    return sharpness(version_picture(model.mean, onto), studio.mixer(0).judged_picture)
-
-
-def _build(
-    studio: Studio,
-    chosen: Sequence[tuple[int, int]],
-    frames: BlendedFrames,
-    work_folder: Path,
-    amount: float,
-) -> Steps[Build]:
-    """Build the model of the blended pictures, with keypoints (Nagle section 4, step 9).
-
-    The pictures lie on one faceframe already, and are not sampled once more to bring them there. Pictures of the avatar
-    that the model is given later may lie anywhere.
-    """
-    settings = studio.settings
-    asked = BuildSettings(
-        components=settings.components, flow=settings.flow, finder=settings.finder, registration="none"
-    )
-    if settings.finder is None:
-        index = _nearest_to_rest(studio, chosen)
-        source = chosen[index][0]
-        points = _faceframe_in(studio, source, chosen[index][1])
-        asked = replace(
-            asked,
-            faceframe=required_faceframe(studio.cast.models[source]).moved(points),
-            faceframe_index=index,
-        )
-    build = yield from build_steps(frames, asked, work_folder, _provenance(studio, frames, amount))
-    model = replace(build.model, registration=REGISTRATION)
-    if model.faceframe is None:
-        source, frame = chosen[build.choice.index]
-        points = reference_to_mean(model, _faceframe_in(studio, source, frame))
-        model = model.with_faceframe(required_faceframe(studio.cast.models[source]).moved(points))
-    if not isinstance(model.provenance.get("keypoints"), Mapping) and model.faceframe is not None:
-        origin = {"source": "blend", "lip": lip_of(studio.cast.models[0]), "on": "mean"}
-        model = model.with_faceframe(model.faceframe, origin)
-    return replace(build, model=model)
-
-
-def _nearest_to_rest(studio: Studio, chosen: Sequence[tuple[int, int]]) -> int:
-    """Give the expression whose own loadings are nearest to its model's mean, in SD."""
-    far = []
-    for source, frame in chosen:
-        model = studio.cast.models[source]
-        sd = np.where(model.sd > 0, model.sd, np.inf)
-        far.append(float(np.mean((model.training.values[frame] / sd) ** 2)))
-    return int(np.argmin(far))
-
-
-def _faceframe_in(studio: Studio, source: int, frame: int) -> AnyArray:
-    """Give the faceframe (3, 2) px in a blended picture: that onto which all mean faces were aligned, moved by it."""
-    blend = studio.mixer(source).blended(studio.versions(source, frame))
-    return move_points(blend.displacement, required_faceframe(studio.cast.models[studio.reference]).points)
-
-
-def _provenance(studio: Studio, frames: BlendedFrames, amount: float) -> dict[str, Any]:
-    models = [studio.models[given] for given in studio.part]
-    labels = [studio.labels[given] for given in studio.part]
-    width, height = models[0].size
-    settings = studio.settings
-    return {
-        "identity": "avatar",
-        "versions": {},
-        **settings.provenance,
-        "consent": told_together(labels, [model.provenance.get("consent") for model in models]),
-        "licence": told_together(labels, [model.provenance.get("licence") for model in models]),
-        "frame_rate_hz": None,
-        "framing": {"source_size": [width, height], "crop": None, "size": [width, height]},
-        "inputs": dict(zip(frames.names, frames.digests, strict=True)),
-        "blend": {
-            "identities": labels,
-            "model_ids": [model.model_id for model in models],
-            "weights": [float(share) for share in studio.shares],
-            "reference": labels[studio.reference],
-            "surround": None if studio.surround is None else labels[studio.surround],
-            "faceframe": settings.faceframe,
-            "method": studio.cast.method,
-            "max_sd": studio.cast.max_sd,
-            "correspondence": settings.correspondence,
-            "expressions": settings.expressions,
-            "frames_of": "models" if settings.clips is None else "clips",
-            "sharpen": amount,
-        },
-    }
-
-
-def told_together(labels: Sequence[str], told: Sequence[Any]) -> Any:
-    """Give what all models tell, or who tells what; None where nobody tells anything."""
-    if all(one == told[0] for one in told):
-        return told[0]
-    return "; ".join(
-        f"{label}: {'not told' if one is None else one}" for label, one in zip(labels, told, strict=True)
-    )
+def _sum(weights: Sequence[float] | AnyArray, laid: Sequence[Laid]) -> Laid:
+    """Give the weighted sum; in the order given, in float32."""
+    texture, displacement = np.zeros_like(laid[0].texture), np.zeros_like(laid[0].displacement)
+    for weight, one in zip(weights, laid, strict=True):
+        texture += np.float32(weight) * one.texture
+        displacement += np.float32(weight) * one.displacement
+    return Laid(texture, displacement)

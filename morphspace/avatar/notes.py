@@ -7,11 +7,11 @@ from collections.abc import Sequence
 import numpy as np
 
 from morphspace.arrays import Points
-from morphspace.avatar.matching import holds_a_mouth
+from morphspace.avatar.mouth import holds_a_mouth
+from morphspace.avatar.prepared import Studio
 from morphspace.avatar.settings import MOST_SHARPEN, REST, SOURCE, Expression
-from morphspace.avatar.studio import Studio
-from morphspace.facepoints import LEFT_IRIS, LEFT_LIDS, RIGHT_IRIS, RIGHT_LIDS
-from morphspace.keypoints import landmarks_of
+from morphspace.face.mesh import LEFT_IRIS, LEFT_LIDS, RIGHT_IRIS, RIGHT_LIDS
+from morphspace.model.keypoints import landmarks_of
 
 SHARP_ENOUGH = (0.85, 1.20)  # of the sources' sharpness: outside, a blend looks soft or drawn
 LOOKING_APART = 0.10  # of an eye's width, between the irises of two mean faces: some 15 degrees of gaze

@@ -11,9 +11,9 @@ from dataclasses import dataclass
 from typing import Protocol
 
 from morphspace.errors import BadInput
-from morphspace.model import MorphModel
-from morphspace.morph import Morph, morph_of
-from morphspace.workframes import FrameSource
+from morphspace.io.framing import FrameSource
+from morphspace.model.model import MorphModel
+from morphspace.model.morph import Morph, morph_of
 
 
 class Clip(FrameSource, Protocol):

@@ -12,20 +12,21 @@ from typing import Any
 
 import numpy as np
 
-from morphspace import faces, warp
 from morphspace.arrays import Affine
-from morphspace.avatar.blend import told_together
-from morphspace.avatar.common_face import common_face, placed
+from morphspace.avatar.build import told_together
+from morphspace.avatar.common_grid import common_face, placed
 from morphspace.avatar.selection import labels_of, model_key
 from morphspace.avatar.settings import check_models
-from morphspace.basis import fit_basis
 from morphspace.errors import BadInput
-from morphspace.facepoints import RIGID_POINTS
-from morphspace.keypoints import landmarks_of, lip_of, required_faceframe
-from morphspace.model import Loadings, MorphModel, inner_product, model_digest
-from morphspace.morph import Morph, invert_mean_shape, parts_of, resource, vector_of
-from morphspace.registration import fitted_similarity
-from morphspace.rows import RowArray
+from morphspace.face.faceframe import identity_affine
+from morphspace.face.mesh import RIGID_POINTS
+from morphspace.face.registration import fitted_similarity
+from morphspace.grid import warp
+from morphspace.linear.pca import fit_basis
+from morphspace.linear.rows import RowArray
+from morphspace.model.keypoints import landmarks_of, lip_of, required_faceframe
+from morphspace.model.model import Loadings, MorphModel, inner_product, model_digest
+from morphspace.model.morph import Morph, invert_mean_shape, parts_of, resource, vector_of
 from morphspace.storage import digest_of_array, digest_of_json
 
 POINT_DIGITS = 2  # of a px, as `keypoints --auto` writes them
@@ -64,7 +65,7 @@ def pair_model(
     common = common_face(models, keys, 0, flow)
     fields = [
         placed(warp.compose(model.mean.displacement, field), at)
-        for model, field, at in zip(models, common.fields, (faces.identity_affine(), place), strict=True)
+        for model, field, at in zip(models, common.fields, (identity_affine(), place), strict=True)
     ]
     mean_field = (0.5 * (fields[0] + fields[1])).astype(np.float32)
     try:

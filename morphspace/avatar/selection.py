@@ -10,8 +10,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from morphspace.arrays import LoadingTable
-from morphspace.keypoints import affine_between_models, landmarks_of, required_faceframe
-from morphspace.model import MorphModel, points_document
+from morphspace.model.keypoints import affine_between_models, landmarks_of, required_faceframe
+from morphspace.model.model import MorphModel, points_document
 from morphspace.storage import digest_of_array, digest_of_json
 
 

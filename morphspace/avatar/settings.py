@@ -11,11 +11,11 @@ import numpy as np
 from morphspace.arrays import AnyArray
 from morphspace.avatar.originals import Clip
 from morphspace.errors import BadInput, SizeMismatch
-from morphspace.facefinder import FaceFinder
+from morphspace.face.finder import FaceFinder
 from morphspace.flow import methods
-from morphspace.keypoints import lip_of, required_faceframe
-from morphspace.mimic import MAX_SD, METHODS, Method
-from morphspace.model import MorphModel
+from morphspace.model.keypoints import lip_of, required_faceframe
+from morphspace.model.model import MorphModel
+from morphspace.transfer.mimicry import MAX_SD, METHODS, Method
 
 AUTO = "auto"
 MEAN, SOURCE = "mean", "source"

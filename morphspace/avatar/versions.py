@@ -15,13 +15,13 @@ import numpy as np
 
 from morphspace.arrays import AnyArray, LoadingVector
 from morphspace.avatar.originals import Originals
-from morphspace.keypoints import affine_between_models, required_faceframe
-from morphspace.landmarks import LandmarkRegression, landmark_places
-from morphspace.mimic import WITH_REST, Method, Mimicry, auto_gain, mimic, offset_of
-from morphspace.model import MorphModel
-from morphspace.morph import Morph, MorphOffset
-from morphspace.reach import reach_of
-from morphspace.recentring import automatic_recentring
+from morphspace.model.keypoints import affine_between_models, required_faceframe
+from morphspace.model.landmarks import LandmarkRegression, landmark_places
+from morphspace.model.model import MorphModel
+from morphspace.model.morph import Morph, MorphOffset
+from morphspace.transfer.mimicry import WITH_REST, Method, Mimicry, auto_gain, mimic, offset_of
+from morphspace.transfer.neutral import automatic_recentring
+from morphspace.transfer.quality import reach_of
 
 MOST_GAIN = 1.3  # above it a model that cannot follow is pushed into faces it does not know
 # Where a version begins to lose weight, and where it is believed no more. By eye, on twenty pairs of five clips.

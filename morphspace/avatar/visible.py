@@ -11,10 +11,10 @@ import cv2
 import numpy as np
 
 from morphspace.arrays import AnyArray, Image, Mask
-from morphspace.facepoints import FACE_OUTLINE, LEFT_BROW, RIGHT_BROW
+from morphspace.face.mesh import FACE_OUTLINE, LEFT_BROW, RIGHT_BROW
 from morphspace.flow.baselines import LUMA
-from morphspace.keypoints import landmarks_of
-from morphspace.model import MorphModel
+from morphspace.model.keypoints import landmarks_of
+from morphspace.model.model import MorphModel
 
 INSIDE_OUTLINE = 0.04  # of the width: how far inside the outline the blend ends
 SOFT = 0.015  # of the width, sd of the edge of hair

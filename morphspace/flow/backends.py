@@ -22,7 +22,7 @@ import numpy as np
 from morphspace.arrays import AnyArray
 from morphspace.errors import BadInput
 from morphspace.flow.filters import BORDER
-from morphspace.warp import spline_reader
+from morphspace.grid.warp import spline_reader
 
 Planes = Any
 """(c, h, w) float32, a numpy array or a torch tensor, as the backend has it."""

@@ -12,8 +12,8 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 
-from morphspace import warp
 from morphspace.arrays import AnyArray, Displacement
+from morphspace.grid import warp
 
 LEAST_DETERMINANT = (
     0.05  # a cell pressed to less of its area counts as folded: rounding must not turn it over

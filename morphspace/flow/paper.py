@@ -26,12 +26,12 @@ from functools import lru_cache
 import cv2
 import numpy as np
 
-from morphspace import warp
 from morphspace.arrays import AnyArray, Displacement, Image, Mask
 from morphspace.flow import Flow, FlowFunction, filters
 from morphspace.flow.baselines import LUMA
-from morphspace.flow.mcgm import DIRECTIONS, LEAST_DETERMINANT, ORDERS, SPACE_TERMS, taylor_weights
+from morphspace.flow.motion import DIRECTIONS, LEAST_DETERMINANT, ORDERS, SPACE_TERMS, taylor_weights
 from morphspace.flow.pairs import checked_pair, checked_picture, checked_start, is_featureless, unknown_flow
+from morphspace.grid import warp
 
 SCALES = (0.05, 0.1, 0.2, 0.4, 0.8)  # of the full size, coarsest first
 SINGLE_SCALE = 0.8

@@ -15,10 +15,10 @@ from typing import Literal, get_args
 import cv2
 import numpy as np
 
-from morphspace import warp
 from morphspace.arrays import AnyArray, Displacement, Image, Mask, Points
 from morphspace.errors import BadInput
 from morphspace.flow import Flow, FlowFunction
+from morphspace.grid import warp
 
 StartKind = Literal["auto", "none"]
 """`auto`: hard frames are tried again from a neighbour's field; `none`: coarse to fine alone."""

@@ -17,7 +17,7 @@ import numpy as np
 from morphspace.arrays import AnyArray
 from morphspace.errors import BadInput
 from morphspace.flow.backends import MEDIAN_PX, Planes, domain_transform
-from morphspace.warp import SPLINE_POLE, SPLINE_TAPS
+from morphspace.grid.warp import SPLINE_POLE, SPLINE_TAPS
 
 try:
     import torch

@@ -37,7 +37,7 @@ from morphspace.imitation.shape import (
     varies,
     with_total,
 )
-from morphspace.progress import Step, Steps
+from morphspace.steps import Step, Steps
 
 # What is tested; the rest goes along: a turned imitation keeps its mean and size, so cosine ranks as correlation does.
 BY_SHIFTS = "correlation", "distance_sd", "mutual_information_nats"

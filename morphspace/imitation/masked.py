@@ -12,9 +12,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from morphspace.arrays import AnyArray, LoadingTable
-from morphspace.basis import Basis
 from morphspace.errors import BadInput
-from morphspace.rows import column_ranges
+from morphspace.linear.pca import Basis
+from morphspace.linear.rows import column_ranges
 
 # Neighbouring pixels and the colours of one err together: one number in so many is independent, and the rest must not
 # make a faint component look certain. Of 1, 10, 100 and 1000, tried on held-out frames and on another person's, 1 let

@@ -13,8 +13,8 @@ from typing import Literal
 import numpy as np
 
 from morphspace.arrays import Affine, AnyArray
-from morphspace.build import Build
 from morphspace.flow.baselines import LUMA
+from morphspace.model.passes import Build
 from morphspace.report.figures import FrameFigures
 
 HEAD_SHIFT_SHARE = 0.08  # of the frame's side; more brings background in, and seldom comes without a turn

@@ -11,10 +11,10 @@ from functools import partial
 
 import numpy as np
 
-from morphspace import warp
 from morphspace.arrays import AnyArray, Image, Points
-from morphspace.keypoints import affine_between, landmarks_of, required_faceframe
-from morphspace.model import MorphModel
+from morphspace.grid import warp
+from morphspace.model.keypoints import affine_between, landmarks_of, required_faceframe
+from morphspace.model.model import MorphModel
 
 
 @dataclass(frozen=True, eq=False)

@@ -7,7 +7,7 @@ section 4; the figures are ours.
 
 from __future__ import annotations
 
-from morphspace.reference import spread
+from morphspace.model.reference import spread
 from morphspace.report import avatar_tables, pictures, sections
 from morphspace.report.avatar_shown import (
     FULL_PART,

@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 
 from morphspace.arrays import AnyArray, Image
-from morphspace.model import MorphModel
-from morphspace.reference import spread
+from morphspace.model.model import MorphModel
+from morphspace.model.reference import spread
 from morphspace.report.avatar_distances import MeanDistances
 
 SHEET_ROWS = 24  # at most; the work folder has all

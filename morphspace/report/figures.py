@@ -10,14 +10,15 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from morphspace import faces, warp
 from morphspace.arrays import AnyArray, Displacement, Image, Mask
-from morphspace.build import Build
-from morphspace.files.colour import linear_of_srgb
+from morphspace.face.faceframe import mouth_region, rigid_region
 from morphspace.flow.baselines import LUMA
-from morphspace.measure import psnr_db, rms_px
-from morphspace.progress import Step, Steps, in_order
-from morphspace.reference import spread
+from morphspace.grid import warp
+from morphspace.io.colour import linear_of_srgb
+from morphspace.linear.quality import psnr_db, rms_px
+from morphspace.model.passes import Build
+from morphspace.model.reference import spread
+from morphspace.steps import Step, Steps, in_order
 
 SHEET_FRAMES = 24  # on the contact sheet; enough to see the range of a clip at one glance
 SHEET_WIDTH_PX = 160  # of a small picture; a sheet of eight columns shows it at about this size
@@ -107,15 +108,13 @@ class _Regions:
         height, width = model.mask.shape
         self.inside = model.mask
         self.total = max(float(model.mask.sum()), 1e-12)
-        rigid = faces.rigid_region(height, width, model.reference_faceframe)
+        rigid = rigid_region(height, width, model.reference_faceframe)
         self.face_box = _box_of(model.mask)
-        rigid_on_mean = faces.rigid_region(height, width, model.faceframe)
+        rigid_on_mean = rigid_region(height, width, model.faceframe)
         self.rigid_box = _box_of(rigid_on_mean)
         self.rigid_on_mean = rigid_on_mean[self.rigid_box]
         self.rigid = np.flatnonzero((rigid > 0.5).reshape(-1))
-        self.mouth = np.flatnonzero(
-            faces.mouth_region(height, width, model.reference_faceframe).reshape(-1) > 0.5
-        )
+        self.mouth = np.flatnonzero(mouth_region(height, width, model.reference_faceframe).reshape(-1) > 0.5)
         self.reference_light = self._rigid_light(model.reference)
 
     def psnr_db(self, image: Image, truth: Image) -> float:

@@ -13,10 +13,10 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from morphspace import warp
 from morphspace.arrays import AnyArray, Displacement, Image
 from morphspace.flow import Flow
 from morphspace.flow.baselines import LUMA
+from morphspace.grid import warp
 from morphspace.report.flow_colours import colours_of, rim_of, wheel
 from morphspace.report.pictures import change_chart
 

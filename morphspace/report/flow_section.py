@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from morphspace.build import Build
+from morphspace.model.passes import Build
 from morphspace.report import pictures
 from morphspace.report.figures import FrameFigures
 from morphspace.report.markup import Html, element, figure, section, sentence, text

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from morphspace.build import Build
+from morphspace.model.passes import Build
 from morphspace.report import flow_section, sections
 from morphspace.report.advice import Case, advice_for
 from morphspace.report.figures import FrameFigures

@@ -9,15 +9,15 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from morphspace import warp
 from morphspace.arrays import AnyArray, Image, Mask
-from morphspace.files.images import jpeg_bytes, png_bytes
 from morphspace.flow.baselines import LUMA
-from morphspace.measure import rms_px
-from morphspace.model import MorphModel
-from morphspace.morph import Morph, parts_of
-from morphspace.progress import in_order
+from morphspace.grid import warp
+from morphspace.io.images import jpeg_bytes, png_bytes
+from morphspace.linear.quality import rms_px
+from morphspace.model.model import MorphModel
+from morphspace.model.morph import Morph, parts_of
 from morphspace.report.markup import Html, element
+from morphspace.steps import in_order
 
 JPEG_QUALITY = 88  # on faces of this size its errors cannot be seen, and a page stays below a few megabytes
 STRIP_WIDTH_PX = (

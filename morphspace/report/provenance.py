@@ -6,8 +6,8 @@ import re
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
-from morphspace.build import Build
-from morphspace.model import MorphModel
+from morphspace.model.model import MorphModel
+from morphspace.model.passes import Build
 from morphspace.report.markup import TIMES, Html, element, section, table, text
 
 DIGEST = re.compile(r"[0-9a-f]{17,}")

@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from morphspace import faces
 from morphspace.arrays import AnyArray
-from morphspace.build import Build
-from morphspace.faces import mouth_region
-from morphspace.model import MorphModel
+from morphspace.face.faceframe import mouth_region, rigid_region
+from morphspace.model.model import MorphModel
+from morphspace.model.passes import Build
 from morphspace.report import pictures
 from morphspace.report.advice import Advice, head_path
 from morphspace.report.figures import FrameFigures
@@ -97,7 +96,7 @@ def faces_section(build: Build) -> Html:
     model = build.model
     height, width = model.mask.shape
     mean = model.mean.render()
-    rigid = faces.rigid_region(height, width, model.faceframe)
+    rigid = rigid_region(height, width, model.faceframe)
     mouth = mouth_region(height, width, model.faceframe)
     lines = pictures.outlines(model.mask, "halo") + pictures.outlines(model.mask, "mask")
     lines += pictures.outlines(rigid, "rigid") + pictures.outlines(mouth, "mouth")

@@ -13,12 +13,12 @@ from typing import Any
 import numpy as np
 
 from morphspace.arrays import Image
-from morphspace.imagestats import FIGURES, SPACES
 from morphspace.report import pictures
 from morphspace.report.blocks import key_figures, notes_section, page_by_itself, settings_section
 from morphspace.report.markup import DASH, Html, element, figure, section, sentence, table, text
 from morphspace.report.plots import SMALL_SIZE, Mark, Plot, line_plot
 from morphspace.report.style import STYLE
+from morphspace.stimuli.image_statistics import FIGURES, SPACES
 
 SHOWN_AT_MOST = 96  # pictures of a sheet: some 10 kB each
 CLIPPED_PERCENT = 0.1  # of the colour values; fewer are the overshoot of a sharp edge

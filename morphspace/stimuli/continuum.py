@@ -16,10 +16,10 @@ from typing import Literal, TypeAlias, get_args
 
 import numpy as np
 
-from morphspace import warp
 from morphspace.arrays import AnyArray, Displacement, Image, LoadingTable, LoadingVector
 from morphspace.errors import BadInput
-from morphspace.model import MorphModel
+from morphspace.grid import warp
+from morphspace.model.model import MorphModel
 from morphspace.stimuli.stepping import Equalised, as_shown, difference, equalised
 
 Spacing: TypeAlias = Literal["loadings", "warp", "ciede2000", "ssim"]

@@ -8,9 +8,9 @@ import numpy as np
 
 from morphspace.arrays import AnyArray, Image, LoadingVector, Mask
 from morphspace.errors import BadInput
-from morphspace.model import MorphModel
-from morphspace.morph import Morph
-from morphspace.progress import in_order
+from morphspace.model.model import MorphModel
+from morphspace.model.morph import Morph
+from morphspace.steps import in_order
 from morphspace.stimuli.drawing import Drawing
 from morphspace.stimuli.regions import region_mask
 

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from morphspace.arrays import AnyArray, LoadingTable
-from morphspace.model import MorphModel
+from morphspace.model.model import MorphModel
 
 PLAUSIBLE_SD = 3.0  # one training value in 370 lies further out, were they normal
 TOLERANCE = 0.01  # a training face that is encoded again comes back within it

@@ -15,9 +15,9 @@ from scipy import ndimage
 
 from morphspace.arrays import AnyArray, Mask, Points
 from morphspace.errors import BadInput
-from morphspace.faces import FaceFrame
-from morphspace.landmarks import landmark_places
-from morphspace.model import MorphModel
+from morphspace.face.faceframe import FaceFrame
+from morphspace.model.landmarks import landmark_places
+from morphspace.model.model import MorphModel
 
 WHOLE = "whole"
 SOFT = 0.08  # of the eye distance: sd of the edge

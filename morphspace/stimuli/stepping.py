@@ -12,9 +12,10 @@ from typing import Protocol
 
 import numpy as np
 
-from morphspace import measure, warp
 from morphspace.arrays import AnyArray, Displacement, Image, Mask
 from morphspace.errors import BadInput
+from morphspace.grid import warp
+from morphspace.linear import quality
 
 CODES = 255  # of an 8-bit file
 EVEN = 0.005  # steps that differ from their mean by less are equal; the goal is 0.03
@@ -82,7 +83,7 @@ def difference(one: Image, other: Image, mask: Mask, kind: str) -> float:
     if kind == "ciede2000":
         return ciede2000(one, other, mask)
     if kind == "ssim":
-        return max(0.0, 1.0 - measure.ssim(one, other, mask))
+        return max(0.0, 1.0 - quality.ssim(one, other, mask))
     raise BadInput(f"pictures cannot be compared by {kind!r}: choose ciede2000 or ssim")
 
 
@@ -99,14 +100,14 @@ def change(path: Path, start: float, stop: float, mask: Mask) -> Change:
     shape = shown(1, 0), shown(1, 2)
     colour = shown(0, 1), shown(2, 1)
     return Change(
-        warp_rms_px=measure.rms_px(fields[2] - fields[0], mask),
-        texture_rms_codes=measure.photometric_rmse(textures[2], textures[0], mask),
+        warp_rms_px=quality.rms_px(fields[2] - fields[0], mask),
+        texture_rms_codes=quality.photometric_rmse(textures[2], textures[0], mask),
         ciede2000=ciede2000(*whole, mask),
-        ssim=measure.ssim(*whole, mask),
+        ssim=quality.ssim(*whole, mask),
         shape_ciede2000=ciede2000(*shape, mask),
-        shape_ssim=measure.ssim(*shape, mask),
+        shape_ssim=quality.ssim(*shape, mask),
         colour_ciede2000=ciede2000(*colour, mask),
-        colour_ssim=measure.ssim(*colour, mask),
+        colour_ssim=quality.ssim(*colour, mask),
     )
 
 

@@ -11,8 +11,8 @@ import numpy as np
 
 from morphspace.arrays import AnyArray
 from morphspace.errors import BadInput, UnreadableFile
-from morphspace.files.images import write_image
-from morphspace.files.sidecars import MarkedFaceframe, Sidecar, write_sidecar
+from morphspace.io.images import write_image
+from morphspace.io.sidecars import MarkedFaceframe, Sidecar, write_sidecar
 from morphspace.storage import read_container, write_container
 from morphspace.synthetic.actor import Actor, ActorFrame
 from morphspace.synthetic.drawn import DEFAULT_SIZE, drawn_actor

@@ -19,10 +19,10 @@ import cv2
 import numpy as np
 import skimage.data
 
-from morphspace import warp
 from morphspace.arrays import AnyArray, Displacement, Image, Points
 from morphspace.errors import BadInput
-from morphspace.measure import stays_inside
+from morphspace.grid import warp
+from morphspace.linear.quality import stays_inside
 
 WarpKind = Literal["smooth", "mouth", "lit"]
 WARP_KINDS: tuple[WarpKind, ...] = ("smooth", "mouth", "lit")

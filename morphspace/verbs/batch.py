@@ -14,18 +14,18 @@ from pathlib import Path
 from typing import Any
 
 from morphspace.errors import BadInput
-from morphspace.files.recipes import read_recipe
-from morphspace.files.tables import write_metrics_table
-from morphspace.progress import WORKERS, Step, Steps
+from morphspace.io.recipes import read_recipe
+from morphspace.io.tables import write_metrics_table
+from morphspace.outcome import Outcome, check_folder, write_record
+from morphspace.sets.complete import loadings_tables
+from morphspace.sets.draw import make_stimulus
+from morphspace.sets.planned import PlannedSet, check_set, complete_set, keep_model
+from morphspace.steps import WORKERS, Step, Steps
 from morphspace.stimuli.drawing import PICTURE_SUFFIXES, VIDEO_SUFFIXES, Drawing
 from morphspace.verbs.batch_folders import FolderJob
 from morphspace.verbs.batch_planning import FOLDERS_TABLE, Planned, planned_recipe
 from morphspace.verbs.batch_pool import DrawingPiece, FolderPiece, Piece, made_here, made_in_processes
 from morphspace.verbs.batch_verbs import SETTINGS
-from morphspace.verbs.completing import loadings_tables
-from morphspace.verbs.outcome import Outcome, check_folder, write_record
-from morphspace.verbs.stimulus import make_stimulus
-from morphspace.verbs.stimulus_set import PlannedSet, check_set, complete_set, keep_model
 
 MOST_UNASKED = 100_000  # stimuli made without --yes: a day's drawing, and tens of gigabytes
 MOST_PLANNED = 1_000_000  # shown by --plan without --yes: minutes, and gigabytes of memory

@@ -8,11 +8,11 @@ from pathlib import Path
 from typing import Any
 
 from morphspace.errors import BadInput, MorphspaceError, UnreadableFile
-from morphspace.files.sidecars import read_json_object
-from morphspace.progress import Step, Steps, result_of
+from morphspace.io.sidecars import read_json_object
+from morphspace.outcome import RECORD_NAME, Outcome
+from morphspace.steps import Step, Steps, result_of
 from morphspace.storage import digest_of_file, json_text, write_text
 from morphspace.verbs.batch_verbs import VERBS, FolderVerb
-from morphspace.verbs.outcome import RECORD_NAME, Outcome
 
 MARK_NAME = "batch.json"  # in the folder: what filled it, written when it was whole
 MARK_FORMAT = "morphspace-batch-folder"

@@ -14,20 +14,20 @@ from pathlib import Path
 from typing import Any
 
 from morphspace.errors import BadInput
-from morphspace.files.clips import open_clip
-from morphspace.files.manifests import FIRST_COLUMNS, LAST_COLUMNS, Column
-from morphspace.files.placeholders import filled
-from morphspace.files.recipes import Job, Recipe
-from morphspace.model import MorphModel, load_model
-from morphspace.progress import Step, Steps
+from morphspace.io.clips import open_clip
+from morphspace.io.placeholders import filled
+from morphspace.io.recipes import Job, Recipe
+from morphspace.model.model import MorphModel, load_model
+from morphspace.outcome import versions
+from morphspace.sets.manifest import FIRST_COLUMNS, LAST_COLUMNS, Column
+from morphspace.sets.planned import PlannedSet, check_kept_model, check_names, request_document
+from morphspace.sets.sources import file_names
+from morphspace.steps import Step, Steps
 from morphspace.stimuli.drawing import Drawing, check_name
 from morphspace.storage import digest_of_file, digest_of_json
 from morphspace.verbs.batch_folders import FolderJob
 from morphspace.verbs.batch_settings import request_of
 from morphspace.verbs.batch_verbs import VERBS, DrawingVerb, FolderVerb
-from morphspace.verbs.outcome import versions
-from morphspace.verbs.stimulus_set import PlannedSet, check_kept_model, check_names, request_document
-from morphspace.verbs.stimulus_sources import file_names
 
 FOLDERS_TABLE = "folders.csv"
 ID_DIGITS = 8  # of a model's id, where they tell models of one name apart

@@ -23,10 +23,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from morphspace.errors import BadInput, MorphspaceError
-from morphspace.model import MorphModel, load_model
-from morphspace.progress import single_threads
+from morphspace.model.model import MorphModel, load_model
+from morphspace.sets.draw import make_stimulus
+from morphspace.steps import single_threads
 from morphspace.stimuli.drawing import Drawing
-from morphspace.verbs.stimulus import make_stimulus
 
 if TYPE_CHECKING:
     from morphspace.verbs.batch_folders import FolderJob

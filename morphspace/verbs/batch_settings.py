@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from morphspace.errors import BadInput
-from morphspace.files.recipes import Job
+from morphspace.io.recipes import Job
 
 LIST_SEPARATOR = ";"  # between several values in one text: what a cell of a table has
 NUMBER_LISTS = ",;"  # numbers may also be written as on the command line

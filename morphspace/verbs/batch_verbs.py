@@ -7,11 +7,11 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from morphspace.progress import Steps
+from morphspace.outcome import Outcome
+from morphspace.sets.planned import PlannedSet
+from morphspace.steps import Steps
 from morphspace.verbs import caricature, continuum, grid, mimic, place, render, sample, sweep, trajectory
 from morphspace.verbs.batch_settings import settings_of
-from morphspace.verbs.outcome import Outcome
-from morphspace.verbs.stimulus_set import PlannedSet
 
 
 @dataclass(frozen=True)

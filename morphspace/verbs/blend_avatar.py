@@ -12,24 +12,24 @@ from pathlib import Path
 import numpy as np
 
 from morphspace.avatar import Avatar, AvatarSettings, blend_steps
-from morphspace.avatar.blend import checked
+from morphspace.avatar.build import checked
 from morphspace.avatar.originals import check_clips
 from morphspace.avatar.settings import AUTO, COMPONENTS, EXPRESSION, EXPRESSIONS, FLAT, MEAN
 from morphspace.errors import BadInput, UnreadableFile
-from morphspace.facefinder import FaceFinder
-from morphspace.files.framed import FramedClip
+from morphspace.face.finder import FaceFinder
 from morphspace.flow import methods
-from morphspace.landmarks import LEAST_FACES
-from morphspace.mimic import MAX_SD
-from morphspace.model import MorphModel, load_model
-from morphspace.modelfile import check_content
-from morphspace.progress import Step, Steps
+from morphspace.io.framing import FramedClip
+from morphspace.model.encode import framed_for
+from morphspace.model.file import check_content
+from morphspace.model.finding import finder_for
+from morphspace.model.landmarks import LEAST_FACES
+from morphspace.model.model import MorphModel, load_model
+from morphspace.outcome import Outcome, check_file, check_folder, versions, work_folder_of
 from morphspace.report.avatar_distances import mean_face_distances
 from morphspace.report.avatar_page import AvatarShown, ExpressionRow, avatar_page, rows_shown
+from morphspace.steps import Step, Steps
 from morphspace.storage import digest_of_file, write_text
-from morphspace.verbs.encoding import framed_for
-from morphspace.verbs.finding import finder_for
-from morphspace.verbs.outcome import Outcome, check_file, check_folder, versions, work_folder_of
+from morphspace.transfer.mimicry import MAX_SD
 
 IDENTITY = "avatar"
 SUFFIX = ".morph"

@@ -9,24 +9,24 @@ from typing import Any, Literal
 import numpy as np
 
 from morphspace.arrays import Mask
-from morphspace.build import COMPONENTS, Build, BuildSettings, build_steps
 from morphspace.errors import BadInput
-from morphspace.facefinder import own_finder
-from morphspace.faces import FaceFrame, Framing, RegistrationKind
-from morphspace.files.clips import Clip, open_clip
-from morphspace.files.framed import FramedClip
-from morphspace.files.images import read_mask
-from morphspace.files.sidecars import MarkedFaceframe
+from morphspace.face.crop import FoundCrop
+from morphspace.face.faceframe import FaceFrame, RegistrationKind
+from morphspace.face.finder import own_finder
 from morphspace.flow import methods
 from morphspace.flow.starts import StartKind
-from morphspace.headcrop import FoundCrop
-from morphspace.model import MorphModel
-from morphspace.progress import Steps, result_of
+from morphspace.grid.warp import apply_affine, inverse_affine
+from morphspace.io.clips import Clip, open_clip
+from morphspace.io.framing import FramedClip, Framing
+from morphspace.io.images import read_mask
+from morphspace.io.sidecars import MarkedFaceframe
+from morphspace.model.finding import Landmarks, crop_steps, finder_for
+from morphspace.model.model import MorphModel
+from morphspace.model.passes import COMPONENTS, Build, BuildSettings, build_steps
+from morphspace.outcome import Outcome, check_file, check_folder, versions, work_folder_of
 from morphspace.report import Case, advice_for, measure_frames, write_report
+from morphspace.steps import Steps, result_of
 from morphspace.storage import digest_of_array
-from morphspace.verbs.finding import Landmarks, crop_steps, finder_for
-from morphspace.verbs.outcome import Outcome, check_file, check_folder, versions, work_folder_of
-from morphspace.warp import apply_affine, inverse_affine
 
 DEFAULT_SIDE_PX = 400  # frames larger than this are scaled to cover 200 x 240 unless a size is given
 MOST_WEIGHT = 1000.0  # colour per px; builds choose 0.02 to 0.1

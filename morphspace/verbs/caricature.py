@@ -11,16 +11,16 @@ import numpy as np
 
 from morphspace.arrays import LoadingTable, Mask
 from morphspace.errors import BadInput
-from morphspace.files.images import read_mask
-from morphspace.model import MorphModel, load_model
-from morphspace.progress import Steps
+from morphspace.io.images import read_mask
+from morphspace.model.model import MorphModel, load_model
+from morphspace.outcome import Outcome
+from morphspace.sets.planned import PlannedSet, plan_of, write_set
+from morphspace.sets.sources import Faces, faces_of
+from morphspace.steps import Steps
 from morphspace.stimuli.caricature import caricatured, components_named
 from morphspace.stimuli.drawing import VIDEO_SUFFIXES, Drawing
 from morphspace.stimuli.regions import WHOLE, region_mask
 from morphspace.storage import digest_of_file
-from morphspace.verbs.outcome import Outcome
-from morphspace.verbs.stimulus_set import PlannedSet, plan_of, write_set
-from morphspace.verbs.stimulus_sources import Faces, faces_of
 
 PICTURE_SUFFIXES = (".png", ".tif", ".tiff", ".jpg", ".jpeg", ".exr", ".bmp")  # of a region that was painted
 

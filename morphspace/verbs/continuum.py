@@ -20,11 +20,16 @@ import numpy as np
 from morphspace.arrays import AnyArray, LoadingVector
 from morphspace.avatar.pair import pair_model
 from morphspace.errors import BadInput
-from morphspace.files.manifests import Column
-from morphspace.files.tables import read_loadings_table
 from morphspace.flow.names import DEFAULT
-from morphspace.model import MorphModel, load_model
-from morphspace.progress import Step, Steps, in_order
+from morphspace.io.tables import read_loadings_table
+from morphspace.model.encode import STRANGE, encoded_frames, energy_outside, framed_for, notes_on_alignment
+from morphspace.model.model import MorphModel, load_model
+from morphspace.outcome import Outcome, versions
+from morphspace.sets.kept import digest_of_kept
+from morphspace.sets.manifest import Column
+from morphspace.sets.planned import PlannedSet, files_named, request_document, write_set
+from morphspace.sets.sources import LISTED, file_names
+from morphspace.steps import Step, Steps, in_order
 from morphspace.stimuli.continuum import (
     POWERS,
     SPACINGS,
@@ -36,13 +41,8 @@ from morphspace.stimuli.continuum import (
 )
 from morphspace.stimuli.drawing import Drawing
 from morphspace.stimuli.stepping import change, difference, unevenness
+from morphspace.stimuli.table_checks import check_table
 from morphspace.storage import digest_of_file
-from morphspace.verbs.encoding import STRANGE, encoded_frames, energy_outside, framed_for, notes_on_alignment
-from morphspace.verbs.kept_answers import digest_of_kept
-from morphspace.verbs.outcome import Outcome, versions
-from morphspace.verbs.stimulus_set import PlannedSet, files_named, request_document, write_set
-from morphspace.verbs.stimulus_sources import LISTED, file_names
-from morphspace.verbs.table_checks import check_table
 
 MODEL_SUFFIX = ".morph"
 TABLE_ROW = re.compile(r"(.+?\.csv):(.+)", re.IGNORECASE | re.DOTALL)

@@ -12,14 +12,14 @@ from pathlib import Path
 
 import numpy as np
 
-from morphspace.files.clips import open_clip
-from morphspace.files.images import write_image
-from morphspace.files.video import write_video
-from morphspace.model import MorphModel, load_model
-from morphspace.progress import Step, Steps
+from morphspace.io.clips import open_clip
+from morphspace.io.images import write_image
+from morphspace.io.video import write_video
+from morphspace.model.model import MorphModel, load_model
+from morphspace.outcome import Outcome, check_folder
+from morphspace.steps import Step, Steps
 from morphspace.storage import write_text
 from morphspace.verbs import build_model, make_actors
-from morphspace.verbs.outcome import Outcome, check_folder
 from morphspace.verbs.render import rendered
 from morphspace.verbs.sweep import component_faces
 

@@ -8,12 +8,9 @@ from pathlib import Path
 import numpy as np
 
 from morphspace.errors import BadInput
-from morphspace.files.sidecars import read_json_object
-from morphspace.files.tables import LOADINGS_FORMAT, write_loadings_table
-from morphspace.model import Loadings, MorphModel, load_model
-from morphspace.progress import Step, Steps
-from morphspace.storage import digest_of_file
-from morphspace.verbs.encoding import (
+from morphspace.io.sidecars import read_json_object
+from morphspace.io.tables import LOADINGS_FORMAT, write_loadings_table
+from morphspace.model.encode import (
     drawn_by,
     encoded_frames,
     framed_for,
@@ -22,7 +19,10 @@ from morphspace.verbs.encoding import (
     notes_on_enlarging,
     notes_on_own,
 )
-from morphspace.verbs.outcome import Outcome, check_file, check_folder, versions
+from morphspace.model.model import Loadings, MorphModel, load_model
+from morphspace.outcome import Outcome, check_file, check_folder, versions
+from morphspace.steps import Step, Steps
+from morphspace.storage import digest_of_file
 
 
 @dataclass(frozen=True)

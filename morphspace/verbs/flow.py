@@ -13,19 +13,19 @@ from typing import Any
 
 import numpy as np
 
-from morphspace import warp
 from morphspace.arrays import Displacement, Image, Points
 from morphspace.errors import BadInput, SizeMismatch
-from morphspace.files.fields import UNKNOWN_PX, check_field_name, read_flow, write_flows
-from morphspace.files.images import read_image, write_image
-from morphspace.files.scenes import Scene, find_scenes
-from morphspace.files.tables import write_metrics_table
 from morphspace.flow import Flow, methods
 from morphspace.flow.baselines import LUMA
 from morphspace.flow.names import DEFAULT_BACKEND
 from morphspace.flow.pairs import checked_pair
 from morphspace.flow.starts import WITHOUT_START
-from morphspace.measure import (
+from morphspace.grid import warp
+from morphspace.io.flow_fields import UNKNOWN_PX, check_field_name, read_flow, write_flows
+from morphspace.io.images import read_image, write_image
+from morphspace.io.scenes import Scene, find_scenes
+from morphspace.io.tables import write_metrics_table
+from morphspace.linear.quality import (
     endpoint_error,
     flow_errors,
     forward_backward_px,
@@ -33,11 +33,11 @@ from morphspace.measure import (
     photometric_rmse,
     stays_inside,
 )
-from morphspace.progress import Step, Steps
+from morphspace.outcome import RECORD_NAME, Outcome, check_file, check_folder, write_record
 from morphspace.report.flow_picture import flow_picture
+from morphspace.steps import Step, Steps
 from morphspace.storage import digest_of_file
 from morphspace.verbs.flow_pair import Pair, flow_between, flow_from_best, read_pair
-from morphspace.verbs.outcome import RECORD_NAME, Outcome, check_file, check_folder, write_record
 
 WARM_UP_PX = 64  # a side; what a method loads on its first call is not its time
 AUTO_START = Path("auto")  # the word for what happens without a field: the best start there is
@@ -134,7 +134,7 @@ def run(request: FlowRequest) -> Steps[Outcome]:
     if pair.landmarks is not None:
         figures["started_from"] = taken
         figures["landmarks_missed_mean_px"] = landmarks_missed_px(flow.displacement, *pair.landmarks)
-    write_flows(flows)
+    write_flows({path: (one.displacement, one.confidence) for path, one in flows.items()})
     written = list(flows)
     if request.picture is not None:
         names = (request.reference.name, request.frame.name)
@@ -285,7 +285,7 @@ def read_scene(scene: Scene) -> tuple[Image, Image, Displacement]:
     names = (str(scene.reference), str(scene.frame))
     reference, frame = checked_pair(read_image(scene.reference), read_image(scene.frame), names)
     stored = read_flow(scene.truth)
-    truth = np.where(stored.known[..., None], stored.flow.displacement, np.float32(UNKNOWN_PX))
+    truth = np.where(stored.known[..., None], stored.displacement, np.float32(UNKNOWN_PX))
     if truth.shape[:2] != reference.shape[:2]:
         raise SizeMismatch(
             f"{scene.truth} has {truth.shape[1]}x{truth.shape[0]} px, {scene.reference} has "

@@ -9,16 +9,16 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from morphspace import warp
 from morphspace.arrays import Displacement, Image, Points
 from morphspace.errors import BadInput, MorphspaceError, SizeMismatch
-from morphspace.files.fields import read_flow
-from morphspace.files.images import read_image
-from morphspace.files.landmarks import read_landmark_pair
 from morphspace.flow import Flow, FlowMethod
 from morphspace.flow.baselines import LUMA
 from morphspace.flow.pairs import checked_pair, is_featureless, is_grey, unknown_flow
 from morphspace.flow.starts import best_start, check_spread, landmark_spline
+from morphspace.grid import warp
+from morphspace.io.flow_fields import read_flow
+from morphspace.io.images import read_image
+from morphspace.io.points import read_landmark_pair
 
 INVERSION_STEPS = 8  # of the fixed point that turns a start round; an estimator mends what they leave
 
@@ -72,7 +72,7 @@ def read_pair(
                 f"{start_path} has {stored.known.shape[1]}x{stored.known.shape[0]} px, {names[0]} has "
                 f"{width}x{height}: a start lies on A's grid"
             )
-        start = stored.flow.displacement
+        start = stored.displacement
         furthest_px = float(np.abs(start).max())
         if furthest_px > height + width:
             raise BadInput(

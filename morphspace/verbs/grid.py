@@ -8,11 +8,11 @@ from pathlib import Path
 import numpy as np
 
 from morphspace.errors import BadInput
-from morphspace.model import MorphModel, load_model
-from morphspace.progress import Steps
+from morphspace.model.model import MorphModel, load_model
+from morphspace.outcome import Outcome
+from morphspace.sets.planned import PlannedSet, plan_of, write_set
+from morphspace.steps import Steps
 from morphspace.stimuli.drawing import Drawing
-from morphspace.verbs.outcome import Outcome
-from morphspace.verbs.stimulus_set import PlannedSet, plan_of, write_set
 from morphspace.verbs.sweep import amount_words, check_amount
 
 

@@ -7,12 +7,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from morphspace.model import MorphModel, load_model, points_document
-from morphspace.modelfile import check_content
-from morphspace.progress import Step, Steps
+from morphspace.model.file import check_content
+from morphspace.model.model import MorphModel, load_model, points_document
+from morphspace.outcome import Outcome
+from morphspace.steps import Step, Steps
 from morphspace.verbs.build_model import explained_variance
 from morphspace.verbs.keypoints import point_names, told_errors
-from morphspace.verbs.outcome import Outcome
 
 SHOWN = 10  # components listed one by one
 _FACEFRAMES = {"mean": "that is the mean of all", "source": "of whose expression it is"}

@@ -12,11 +12,12 @@ import numpy as np
 
 from morphspace.arrays import Image, Points
 from morphspace.errors import BadInput
-from morphspace.facepoints import LEFT_LIDS, RIGHT_LIDS, UPPER_LIP_BOTTOM
-from morphspace.faces import FaceFrame
-from morphspace.files.images import write_image
-from morphspace.files.templates import LipName, YAxis, read_marked_points
-from morphspace.keypoints import (
+from morphspace.face.faceframe import FaceFrame
+from morphspace.face.mesh import LEFT_LIDS, RIGHT_LIDS, UPPER_LIP_BOTTOM
+from morphspace.io.images import write_image
+from morphspace.io.templates import LipName, YAxis, read_marked_points
+from morphspace.model.file import check_content
+from morphspace.model.keypoints import (
     TURN_UPRIGHT,
     WIDE_SPREAD,
     FaceDetector,
@@ -26,12 +27,11 @@ from morphspace.keypoints import (
     lip_of,
     picture_to_mean,
 )
-from morphspace.landmarks import LANDMARKS, LEAST_FACES, LandmarkRegression
-from morphspace.model import MorphModel, load_model
-from morphspace.modelfile import check_content
-from morphspace.progress import Steps
+from morphspace.model.landmarks import LANDMARKS, LEAST_FACES, LandmarkRegression
+from morphspace.model.model import MorphModel, load_model
+from morphspace.outcome import Outcome, check_file
+from morphspace.steps import Steps
 from morphspace.storage import digest_of_file
-from morphspace.verbs.outcome import Outcome, check_file
 
 PICTURE_SIDE_PX = 480  # the drawn mean is enlarged by whole numbers up to it
 FAR = 0.5  # eye distances from the landmarks; points that mark the same face lie within a quarter
@@ -137,7 +137,7 @@ def _check(request: KeypointsRequest) -> None:
 
 
 def _own_detector() -> FaceDetector:
-    from morphspace.detection import load_detector
+    from morphspace.face.detector import load_detector
 
     detector: FaceDetector = load_detector()
     return detector

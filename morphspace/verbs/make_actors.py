@@ -7,8 +7,8 @@ from pathlib import Path
 
 from morphspace import synthetic
 from morphspace.errors import BadInput
-from morphspace.progress import Step, Steps
-from morphspace.verbs.outcome import Outcome, check_folder, write_record
+from morphspace.outcome import Outcome, check_folder, write_record
+from morphspace.steps import Step, Steps
 
 LEAST_SIDE_PX, MOST_SIDE_PX = 48, 1024  # larger ones take minutes to paint
 

@@ -16,20 +16,14 @@ import cv2
 import numpy as np
 
 from morphspace.arrays import Image, LoadingTable
-from morphspace.detection import Detector
 from morphspace.errors import BadInput
-from morphspace.files.tables import write_loadings_table
-from morphspace.files.video import write_video
+from morphspace.face.detector import Detector
 from morphspace.imitation import Comparison, MaskedBasis, compare
-from morphspace.model import MorphModel, load_model
-from morphspace.progress import Step, Steps
-from morphspace.report.imitation_page import MeasuredImitation, imitation_page
-from morphspace.storage import digest_of_file, write_text
-from morphspace.verbs.encoding import check_components, components_used
-from morphspace.verbs.faces_seen import FacesSeen, look_for_faces
-from morphspace.verbs.imitators import METHOD, imitator_of
-from morphspace.verbs.measure_advice import chance_words, mean_apart, size_words, strange_words
-from morphspace.verbs.measures_table import (
+from morphspace.imitation.advice import chance_words, mean_apart, size_words, strange_words
+from morphspace.imitation.faces_seen import FacesSeen, look_for_faces
+from morphspace.imitation.imitator import METHOD, imitator_of
+from morphspace.imitation.motions import Motion, Region, at_rate_of, measured, opened, part_of, share_of
+from morphspace.imitation.table import (
     component_names,
     reasons_of,
     still_components_words,
@@ -37,12 +31,18 @@ from morphspace.verbs.measures_table import (
     still_words,
     write_measures,
 )
+from morphspace.io.tables import write_loadings_table
+from morphspace.io.video import write_video
+from morphspace.model.encode import check_components, components_used
+from morphspace.model.model import MorphModel, load_model
+from morphspace.outcome import RECORD_NAME, Outcome, check_file, check_folder, versions, write_record
+from morphspace.report.imitation_page import MeasuredImitation, imitation_page
+from morphspace.steps import Step, Steps
+from morphspace.stimuli.table_checks import check_reach
+from morphspace.storage import digest_of_file, write_text
 from morphspace.verbs.mimic_folder import VIDEO_NAME, check_ours, no_empty_folders
 from morphspace.verbs.mimic_sources import own_detector
-from morphspace.verbs.motions import Motion, Region, at_rate_of, measured, opened, part_of, share_of
-from morphspace.verbs.outcome import RECORD_NAME, Outcome, check_file, check_folder, versions, write_record
 from morphspace.verbs.render import FRAME_RATE_HZ, rendered
-from morphspace.verbs.table_checks import check_reach
 
 VERB = "measure-mimicry"
 WORK_FOLDER = (

@@ -14,19 +14,20 @@ from typing import Any, Literal
 import numpy as np
 
 from morphspace.arrays import AnyArray
-from morphspace.detection import Detector
 from morphspace.errors import BadInput
-from morphspace.files.clips import Clip, open_clip
-from morphspace.files.tables import write_loadings_table
-from morphspace.keypoints import how_to_learn
-from morphspace.mimic import METHODS, WITH_REST, Method, auto_gain, mimic
-from morphspace.model import MorphModel
-from morphspace.progress import Steps
-from morphspace.reach import reach_of
+from morphspace.face.detector import Detector
+from morphspace.io.clips import Clip, open_clip
+from morphspace.io.tables import write_loadings_table
+from morphspace.model.encode import check_components, first_components
+from morphspace.model.keypoints import how_to_learn
+from morphspace.model.model import MorphModel
+from morphspace.outcome import Outcome, check_folder, picture_names, versions, write_record
 from morphspace.report.mimic_page import MimicryShown, mimic_page
+from morphspace.steps import Steps
 from morphspace.storage import write_text
+from morphspace.transfer.mimicry import METHODS, WITH_REST, Method, auto_gain, mimic
+from morphspace.transfer.quality import reach_of
 from morphspace.verbs import mimic_advice
-from morphspace.verbs.encoding import check_components, first_components
 from morphspace.verbs.mimic_folder import (
     FRAMES_FOLDER,
     MODELS_FOLDER,
@@ -62,7 +63,6 @@ from morphspace.verbs.mimic_table import (
     quality_columns,
     write_quality,
 )
-from morphspace.verbs.outcome import Outcome, check_folder, picture_names, versions, write_record
 from morphspace.verbs.render import CLIPPED_SHARE
 
 BEST = "auto"  # the default: the method that measured best of those the models allow

@@ -12,7 +12,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from morphspace.errors import BadInput, MorphspaceError
-from morphspace.verbs.outcome import RECORD_NAME
+from morphspace.outcome import RECORD_NAME
 
 FRAMES_FOLDER = "frames"
 MODELS_FOLDER = "models"  # models that were built on the way

@@ -18,22 +18,22 @@ import cv2
 import numpy as np
 
 from morphspace.arrays import AnyArray, Image
-from morphspace.detection import Detector
-from morphspace.facepoints import FacePoints
-from morphspace.files.images import read_image, write_image
-from morphspace.files.video import write_video
-from morphspace.mimic import Mimic, Quality, offset_of
-from morphspace.model import MorphModel
-from morphspace.morph import vector_of
-from morphspace.posterior import InnerProducts
-from morphspace.progress import Step, Steps, in_order
-from morphspace.reach import Reach, ReachOf
+from morphspace.face.detector import Detector
+from morphspace.face.mesh import FacePoints
+from morphspace.io.images import read_image, write_image
+from morphspace.io.video import write_video
+from morphspace.model.encode import energy_outside
+from morphspace.model.model import MorphModel
+from morphspace.model.morph import vector_of
+from morphspace.outcome import versions
 from morphspace.report.mimic_page import PAIRS_SHOWN
+from morphspace.steps import Step, Steps, in_order
 from morphspace.storage import digest_of_file, digest_of_json, json_text, write_text
-from morphspace.verbs.encoding import energy_outside
+from morphspace.transfer.mimicry import Mimic, Quality, offset_of
+from morphspace.transfer.probable import InnerProducts
+from morphspace.transfer.quality import Reach, ReachOf
 from morphspace.verbs.mimic_sources import Driver
 from morphspace.verbs.mimic_table import FaceSeen, FrameMade, made_of
-from morphspace.verbs.outcome import versions
 from morphspace.verbs.render import FRAME_RATE_HZ
 
 WORK_FORMAT = "morphspace-mimic-frame-3"

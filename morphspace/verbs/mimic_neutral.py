@@ -6,10 +6,16 @@ from dataclasses import dataclass
 from typing import Any
 
 from morphspace.errors import BadInput
-from morphspace.mimic import offset_of
-from morphspace.model import MorphModel
-from morphspace.morph import MorphOffset
-from morphspace.recentring import FAR_APART, Recentring, automatic_recentring, means_apart, recentring_on
+from morphspace.model.model import MorphModel
+from morphspace.model.morph import MorphOffset
+from morphspace.transfer.mimicry import offset_of
+from morphspace.transfer.neutral import (
+    FAR_APART,
+    Recentring,
+    automatic_recentring,
+    means_apart,
+    recentring_on,
+)
 
 AUTOMATIC, MEAN = "auto", "mean"
 

@@ -14,26 +14,26 @@ from pathlib import Path
 import numpy as np
 
 from morphspace.arrays import AnyArray, Image
-from morphspace.build import COMPONENTS, MIN_FRAMES
-from morphspace.detection import Detector, load_detector, models_folder, models_present
-from morphspace.detection.models import FETCH_COMMAND, ORIGIN, state_of
 from morphspace.errors import BadInput
-from morphspace.facepoints import FacePoints
-from morphspace.files.clips import VIDEO_SUFFIXES, Clip, open_clip
+from morphspace.face.detector import Detector, load_detector, models_folder, models_present
+from morphspace.face.detector.models import FETCH_COMMAND, ORIGIN, state_of
+from morphspace.face.mesh import FacePoints
 from morphspace.flow import methods
-from morphspace.keypoints import detect_faceframe, how_to_learn, with_detected
-from morphspace.landmarks import LEAST_FACES
-from morphspace.mimic import offset_of
-from morphspace.model import MorphModel, load_model
-from morphspace.modelfile import check_content
-from morphspace.morph import MorphOffset
-from morphspace.progress import Step, Steps
-from morphspace.reference import spread
+from morphspace.io.clips import VIDEO_SUFFIXES, Clip, open_clip
+from morphspace.model.encode import framed_for, notes_on_framing
+from morphspace.model.file import check_content
+from morphspace.model.keypoints import detect_faceframe, how_to_learn, with_detected
+from morphspace.model.landmarks import LEAST_FACES
+from morphspace.model.model import MorphModel, load_model
+from morphspace.model.morph import MorphOffset
+from morphspace.model.passes import COMPONENTS, MIN_FRAMES
+from morphspace.model.reference import spread
+from morphspace.outcome import versions
+from morphspace.steps import Step, Steps
 from morphspace.storage import digest_of_file, digest_of_json
+from morphspace.transfer.mimicry import offset_of
 from morphspace.verbs import build_model
 from morphspace.verbs.build_model import BuildModelRequest
-from morphspace.verbs.encoding import framed_for, notes_on_framing
-from morphspace.verbs.outcome import versions
 
 MODEL_SUFFIX = ".morph"
 LOOKED_AT = 9  # frames of a clip, for a face

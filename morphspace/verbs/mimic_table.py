@@ -10,12 +10,12 @@ from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 from typing import Any
 
-from morphspace.files.tables import write_metrics_table
-from morphspace.mimic import Quality
-from morphspace.reach import Reach
+from morphspace.io.tables import write_metrics_table
+from morphspace.model.encode import STRANGE
+from morphspace.outcome import versions
 from morphspace.storage import json_text, write_text
-from morphspace.verbs.encoding import STRANGE
-from morphspace.verbs.outcome import versions
+from morphspace.transfer.mimicry import Quality
+from morphspace.transfer.quality import Reach
 
 FORMAT = "morphspace-mimicry"
 VERSION = 1

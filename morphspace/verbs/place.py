@@ -9,30 +9,24 @@ from typing import Any
 
 import numpy as np
 
-from morphspace import warp
 from morphspace.arrays import AnyArray
-from morphspace.avatar.blend import told_together
-from morphspace.files.clips import Clip
-from morphspace.files.framed import FramedClip
-from morphspace.files.manifests import Column
-from morphspace.files.stimulus_sidecars import ORIGINAL_IDENTITY
-from morphspace.files.tables import read_loadings_table
-from morphspace.model import MorphModel, load_model
-from morphspace.progress import Step, Steps, in_order
+from morphspace.avatar.build import told_together
+from morphspace.grid import warp
+from morphspace.io.clips import Clip
+from morphspace.io.framing import FramedClip
+from morphspace.io.stimulus_sidecars import ORIGINAL_IDENTITY
+from morphspace.io.tables import read_loadings_table
+from morphspace.model.encode import framed_for, notes_on_alignment, notes_on_enlarging
+from morphspace.model.model import MorphModel, load_model
+from morphspace.outcome import Outcome
+from morphspace.sets.kept import digest_of_kept, encoded_clip
+from morphspace.sets.manifest import Column
+from morphspace.sets.planned import PlannedSet, plan_of, write_set
+from morphspace.sets.sources import FRAME_RATE_HZ, Faces, check_frames, check_rate, notes_on_identity
+from morphspace.steps import Step, Steps, in_order
 from morphspace.stimuli.caricature import caricatured
 from morphspace.stimuli.drawing import Drawing, Placing
-from morphspace.verbs.encoding import framed_for, notes_on_alignment, notes_on_enlarging
-from morphspace.verbs.kept_answers import digest_of_kept, encoded_clip
-from morphspace.verbs.outcome import Outcome
-from morphspace.verbs.stimulus_set import PlannedSet, plan_of, write_set
-from morphspace.verbs.stimulus_sources import (
-    FRAME_RATE_HZ,
-    Faces,
-    check_frames,
-    check_rate,
-    notes_on_identity,
-)
-from morphspace.verbs.table_checks import check_reach, check_table
+from morphspace.stimuli.table_checks import check_reach, check_table
 
 RIGHTS = ("consent", "licence")
 COLUMNS: Mapping[str, Column] = {

@@ -7,15 +7,11 @@ from pathlib import Path
 
 import numpy as np
 
-from morphspace import warp
-from morphspace.files.images import write_image
-from morphspace.files.tables import write_metrics_table
-from morphspace.measure import psnr_db, rms_px, ssim
-from morphspace.model import load_model
-from morphspace.progress import Step, Steps
-from morphspace.storage import digest_of_file
-from morphspace.verbs.encode import write_loadings
-from morphspace.verbs.encoding import (
+from morphspace.grid import warp
+from morphspace.io.images import write_image
+from morphspace.io.tables import write_metrics_table
+from morphspace.linear.quality import psnr_db, rms_px, ssim
+from morphspace.model.encode import (
     encoded_frames,
     first_components,
     framed_for,
@@ -23,7 +19,11 @@ from morphspace.verbs.encoding import (
     notes_on_alignment,
     notes_on_enlarging,
 )
-from morphspace.verbs.outcome import Outcome, check_folder, picture_names, write_record
+from morphspace.model.model import load_model
+from morphspace.outcome import Outcome, check_folder, picture_names, write_record
+from morphspace.steps import Step, Steps
+from morphspace.storage import digest_of_file
+from morphspace.verbs.encode import write_loadings
 
 
 @dataclass(frozen=True)

@@ -8,15 +8,15 @@ from pathlib import Path
 
 from morphspace.arrays import Image, LoadingTable
 from morphspace.errors import BadInput
-from morphspace.model import MorphModel, load_model
-from morphspace.progress import WORKERS, Step, Steps, in_order
+from morphspace.model.model import MorphModel, load_model
+from morphspace.outcome import RECORD_NAME, Outcome, check_folder, picture_names, write_record
+from morphspace.sets.draw import make_stimulus
+from morphspace.sets.planned import PlannedSet, check_replaced, plan_of, write_set
+from morphspace.sets.sources import FRAME_RATE_HZ, faces_of
+from morphspace.steps import WORKERS, Step, Steps, in_order
 from morphspace.stimuli.caricature import caricatured
 from morphspace.stimuli.drawing import VIDEO_SUFFIXES, Drawing
-from morphspace.verbs.outcome import RECORD_NAME, Outcome, check_folder, picture_names, write_record
-from morphspace.verbs.stimulus import make_stimulus
-from morphspace.verbs.stimulus_set import PlannedSet, check_replaced, plan_of, write_set
-from morphspace.verbs.stimulus_sources import FRAME_RATE_HZ, faces_of
-from morphspace.verbs.table_checks import check_reach
+from morphspace.stimuli.table_checks import check_reach
 
 CLIPPED_SHARE = 0.001  # of the colour values; fewer are the overshoot of a sharp edge
 __all__ = ["FRAME_RATE_HZ", "RenderRequest", "plan", "rendered", "run"]

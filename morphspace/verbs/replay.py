@@ -12,15 +12,15 @@ import numpy as np
 
 from morphspace.arrays import AnyArray, Image, Mask
 from morphspace.errors import BadInput, UnreadableFile
-from morphspace.files.images import read_image, read_mask
-from morphspace.files.stimulus_sidecars import read_stimulus_sidecar
-from morphspace.model import load_model
-from morphspace.progress import WORKERS, Step, Steps, single_threads
+from morphspace.io.images import read_image, read_mask
+from morphspace.io.stimulus_sidecars import read_stimulus_sidecar
+from morphspace.model.model import load_model
+from morphspace.outcome import Outcome
+from morphspace.sets.draw import draw_file, made_from_of, originals_of
+from morphspace.sets.sidecar_checks import edited_entries, other_versions
+from morphspace.steps import WORKERS, Step, Steps, single_threads
 from morphspace.stimuli.drawing import PICTURE_SUFFIXES, VIDEO_SUFFIXES, Drawing, drawing_of
 from morphspace.storage import digest_of_file, digest_of_json, whole_file
-from morphspace.verbs.outcome import Outcome
-from morphspace.verbs.sidecar_checks import edited_entries, other_versions
-from morphspace.verbs.stimulus import draw_file, made_from_of, originals_of
 
 FOLDERS_UP = 2  # from the sidecar, where a model may lie: a set inside a batch inside a project
 
@@ -241,6 +241,6 @@ def _frames(path: Path, drawing: Drawing) -> Iterator[Image]:
     if drawing.frame_rate_hz is None:
         yield read_image(path)
         return
-    from morphspace.files.video import read_frames  # loads libav, which stills do not need
+    from morphspace.io.video import read_frames  # loads libav, which stills do not need
 
     yield from read_frames(path)

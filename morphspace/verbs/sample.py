@@ -8,12 +8,12 @@ from pathlib import Path
 import numpy as np
 
 from morphspace.errors import BadInput
-from morphspace.model import MorphModel, load_model
-from morphspace.progress import Steps
+from morphspace.model.model import MorphModel, load_model
+from morphspace.outcome import Outcome
+from morphspace.sets.planned import PlannedSet, plan_of, write_set
+from morphspace.steps import Steps
 from morphspace.stimuli.drawing import Drawing
 from morphspace.stimuli.sampling import drawn_sd
-from morphspace.verbs.outcome import Outcome
-from morphspace.verbs.stimulus_set import PlannedSet, plan_of, write_set
 
 
 @dataclass(frozen=True)

@@ -10,11 +10,11 @@ import numpy as np
 
 from morphspace.arrays import AnyArray, Image, LoadingTable
 from morphspace.errors import BadInput
-from morphspace.model import MorphModel, load_model
-from morphspace.progress import Steps
+from morphspace.model.model import MorphModel, load_model
+from morphspace.outcome import Outcome
+from morphspace.sets.planned import PlannedSet, plan_of, write_set
+from morphspace.steps import Steps
 from morphspace.stimuli.drawing import Drawing
-from morphspace.verbs.outcome import Outcome
-from morphspace.verbs.stimulus_set import PlannedSet, plan_of, write_set
 
 VIDEO_FRAMES = 50  # there and back again, so that it loops
 FRAME_RATE_HZ = 25.0

@@ -11,20 +11,20 @@ import numpy as np
 
 from morphspace.arrays import AnyArray
 from morphspace.errors import BadInput, ReferenceMismatch
-from morphspace.files.manifests import Column
-from morphspace.files.sidecars import read_json_object
-from morphspace.files.tables import LOADINGS_FORMAT, read_loadings_table, write_loadings_table
-from morphspace.model import MorphModel, load_model
-from morphspace.progress import Step, Steps
+from morphspace.io.sidecars import read_json_object
+from morphspace.io.tables import LOADINGS_FORMAT, read_loadings_table, write_loadings_table
+from morphspace.model.model import MorphModel, load_model
+from morphspace.outcome import Outcome, check_file, check_folder, versions
+from morphspace.sets.kept import digest_of_kept
+from morphspace.sets.manifest import Column
+from morphspace.sets.planned import KEPT_STEMS, PlannedSet, plan_of, request_document, write_set
+from morphspace.sets.sources import FRAME_RATE_HZ, file_names, motion_name
+from morphspace.steps import Step, Steps
 from morphspace.stimuli.drawing import VIDEO_SUFFIXES, Drawing
 from morphspace.stimuli.motion_words import GUIDED
 from morphspace.stimuli.operations import Motion, Operation, operations_of, worked
+from morphspace.stimuli.table_checks import check_table
 from morphspace.stimuli.trajectory import step_lengths
-from morphspace.verbs.kept_answers import digest_of_kept
-from morphspace.verbs.outcome import Outcome, check_file, check_folder, versions
-from morphspace.verbs.stimulus_set import KEPT_STEMS, PlannedSet, plan_of, request_document, write_set
-from morphspace.verbs.stimulus_sources import FRAME_RATE_HZ, file_names, motion_name
-from morphspace.verbs.table_checks import check_table
 
 LEAST_FRAMES = 2  # of a motion
 JUMP = 1.0 + 1e-6  # median steps: a loop that closes with more jumps

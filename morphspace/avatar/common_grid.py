@@ -1,0 +1,150 @@
+"""All identities on one grid: the mean face of the reference identity, to which the other mean faces correspond.
+
+Nagle finds the flow from the k versions of each expression to the reference identity's (section 4, step 8). Here each
+version is a morph already: its model knows where every point of its mean face went. So people are put in correspondence
+mean face to mean face, where all are at rest and the flow is surest, held by the points of the face mesh; and a
+version's correspondence follows by composition, the same for every expression. What that cannot tell, the mouth, is
+found anew in each (`matching`). Nothing is resampled twice. (Ours.)
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from morphspace.arrays import Affine, AnyArray, Displacement, Image, Mask
+from morphspace.avatar import visible
+from morphspace.errors import BadInput
+from morphspace.face.anchor import HELD, spline_from
+from morphspace.face.faceframe import FaceFrame, identity_affine
+from morphspace.flow import methods
+from morphspace.flow.folds import unfolded
+from morphspace.grid import warp
+from morphspace.model.keypoints import affine_between, affine_between_models, landmarks_of, required_faceframe
+from morphspace.model.model import MorphModel
+from morphspace.model.morph import Morph
+
+MOST_BEYOND_POINTS = 0.02  # of the width: how far the flow may leave the spline through the points
+NEXT_TO_MASK = 0.05  # of the width, sd: how far around the mask motion still follows the face
+
+
+@dataclass(frozen=True, eq=False)
+class Laid:
+    """A morph on the common grid: texture (h, w, 3), and displacement (h, w, 2) px to its place in the picture."""
+
+    texture: Image
+    displacement: Displacement
+
+
+@dataclass(frozen=True, eq=False)
+class CommonFace:
+    """The common grid: `fields` (h, w, 2) px from it to each identity's mean face; the blend's `mask` (h, w); and how
+    much of each identity's mean face is skin rather than hair, `skin` (h, w) each.
+    """
+
+    models: Sequence[MorphModel]
+    fields: Sequence[Displacement]
+    mask: Mask
+    skin: Sequence[Mask]
+
+    def laid(self, identity: int, morph: Morph, place: Affine) -> Laid:
+        """Lay a morph of an identity on the grid; `place` (2, 3) takes its pictures' points to the aligned picture."""
+        check_finite(self.models[identity], morph)
+        field = self.fields[identity]
+        texture, moved = morph.texture, morph.displacement
+        if field.any():
+            texture = warp.sample(texture, field)
+            moved = warp.compose(moved, field)
+        return Laid(texture, placed(moved, place))
+
+
+def placed(displacement: Displacement, place: Affine) -> Displacement:
+    """Give the displacement whose end points are moved by an affine (2, 3) as well."""
+    if np.allclose(place, identity_affine(), rtol=0, atol=1e-9):
+        return displacement
+    height, width = displacement.shape[:2]
+    x, y = warp.positions(displacement)
+    x, y = x.astype(np.float64), y.astype(np.float64)
+    out = np.empty_like(displacement)
+    out[..., 0] = place[0, 0] * x + place[0, 1] * y + place[0, 2] - np.arange(width)
+    out[..., 1] = place[1, 0] * x + place[1, 1] * y + place[1, 2] - np.arange(height)[:, None]
+    return out
+
+
+def version_picture(morph: Morph, place: Affine) -> Image:
+    """Draw a version (h, w, 3) in its aligned place: the second alignment (Nagle section 4, step 7)."""
+    return warp.render(morph.texture, placed(morph.displacement, place))
+
+
+def check_finite(model: MorphModel, morph: Morph) -> None:
+    """Raise `BadInput` for a morph of a model whose points go nowhere: no picture can be drawn of it."""
+    count = int((~np.isfinite(morph.displacement)).sum())
+    if count:
+        raise BadInput(
+            f"the model of {model.identity} gives a face in which {count} of {morph.displacement.size} displacements "
+            "are not finite numbers: build it again"
+        )
+
+
+def places_on(models: Sequence[MorphModel], faceframe: FaceFrame) -> list[Affine]:
+    """Give the affine (2, 3) that takes each identity's mean face onto a faceframe."""
+    return [affine_between(required_faceframe(model), faceframe) for model in models]
+
+
+def mean_faceframe(models: Sequence[MorphModel], weights: AnyArray) -> FaceFrame:
+    """Give the weighted mean of the identities' faceframes."""
+    points = [required_faceframe(model).points for model in models]
+    return required_faceframe(models[0]).moved(np.tensordot(weights, np.array(points), 1))
+
+
+def common_face(models: Sequence[MorphModel], keys: Sequence[str], reference: int, flow: str) -> CommonFace:
+    """Put the mean face of every identity in correspondence with that of `reference`."""
+    home = models[reference]
+    height, width = home.mask.shape
+    find = methods.for_morphs(flow)(np.array(home.mean.texture))
+    fields = []
+    for model, key in zip(models, keys, strict=True):
+        if key == keys[reference]:
+            fields.append(np.zeros((height, width, 2), np.float32))
+            continue
+        start, held = _start(home, model)
+        rest = find(warp.sample(np.array(model.mean.texture), start), None).displacement
+        if held:
+            rest = shortened(rest, MOST_BEYOND_POINTS * width)
+        fields.append(unfolded(warp.compose(start, rest)))
+    masks = [warp.sample_field(model.mask, field) for model, field in zip(models, fields, strict=True)]
+    outline = visible.inside_outline(home)
+    mask = np.clip(np.min([*masks, *([] if outline is None else [outline])], axis=0), 0, 1).astype(np.float32)
+    skin = [
+        visible.skin_share(home, warp.sample(np.array(model.mean.texture), field), mask)
+        for model, field in zip(models, fields, strict=True)
+    ]
+    return CommonFace(models, fields, mask, skin)
+
+
+def _start(home: MorphModel, other: MorphModel) -> tuple[Displacement, bool]:
+    """Give where the correspondence starts, (h, w, 2) px, and whether points of the face hold it there."""
+    height, width = home.mask.shape
+    points = [landmarks_of(model) for model in (home, other)]
+    if points[0] is None or points[1] is None:
+        return warp.affine_displacement(affine_between_models(home, other), height, width), False
+    held = list(HELD)
+    return unfolded(spline_from(points[0][held], height, width)(points[1][held])), True
+
+
+def shortened(field: Displacement, most_px: float) -> Displacement:
+    """Draw a field's vectors smoothly inside a length."""
+    square = (field * field).sum(axis=2, keepdims=True) / np.float32(most_px**2)
+    return (field / np.sqrt(1 + square)).astype(np.float32)
+
+
+def around(mask: Mask) -> Mask:
+    """Give a wider, softer mask (h, w): 1 inside, falling to 0 at some distance."""
+    sd_px = NEXT_TO_MASK * mask.shape[1]
+    side = 2 * round(sd_px) + 1
+    wide = cv2.dilate(mask, cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (side, side)))
+    out: Mask = np.maximum(mask, cv2.GaussianBlur(wide, (0, 0), sd_px / 2, borderType=cv2.BORDER_REPLICATE))
+    return out

@@ -1,0 +1,182 @@
+"""Everything that blends expressions, prepared once: who takes part, on which grid, aligned onto what."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from morphspace.arrays import AnyArray, Image
+from morphspace.avatar.blend import Mixer
+from morphspace.avatar.common_grid import CommonFace, common_face, mean_faceframe, places_on, version_picture
+from morphspace.avatar.mouth import Matcher
+from morphspace.avatar.originals import originals_of
+from morphspace.avatar.selection import labels_of, model_key, nearest_to_all, spread_out
+from morphspace.avatar.settings import (
+    EXPRESSION,
+    FLAT,
+    MEAN,
+    SOURCE,
+    AvatarSettings,
+    check_models,
+    check_settings,
+    identity_at,
+    method_of,
+)
+from morphspace.avatar.versions import Cast, Show, Version
+from morphspace.errors import BadInput
+from morphspace.face.faceframe import FaceFrame
+from morphspace.model.keypoints import affine_between, required_faceframe
+from morphspace.model.model import MorphModel
+from morphspace.steps import in_order
+
+
+@dataclass(frozen=True, eq=False)
+class Studio:
+    """Who is blended, and how.
+
+    `models`, their `keys` and `labels` (k,) as they were given; `weights` (k,), sum 1 | `part` the places of those that
+    take part, in an order of their digests | `reference` and `surround` among `part`; `surround` None for flat grey |
+    `cast` of those who take part, by place in `part`.
+    """
+
+    models: Sequence[MorphModel]
+    keys: Sequence[str]
+    labels: tuple[str, ...]
+    weights: AnyArray
+    part: tuple[int, ...]
+    reference: int
+    surround: int | None
+    cast: Cast
+    settings: AvatarSettings
+    mixers: dict[int, Mixer] = field(default_factory=dict, init=False, repr=False)
+    prepared: dict[int, tuple[Show, ...]] = field(default_factory=dict, init=False, repr=False)
+
+    @cached_property
+    def common(self) -> CommonFace:
+        """The common grid; the flow between the mean faces is found here."""
+        cast = self.cast
+        found = in_order(
+            lambda reference: common_face(cast.models, cast.keys, reference, self.settings.flow),
+            [self.reference],
+        )
+        return next(iter(list(found)))
+
+    @cached_property
+    def shares(self) -> AnyArray:
+        """The weights of those who take part, (n,), sum 1."""
+        return self.weights[list(self.part)]
+
+    def faceframe(self, source: int) -> FaceFrame:
+        """Give the faceframe onto which the expressions of `source`, by its place in `part`, are aligned."""
+        asked, models = self.settings.faceframe, self.cast.models
+        if asked == MEAN:
+            return mean_faceframe(models, self.shares)
+        if asked == SOURCE:
+            return required_faceframe(models[source])
+        return required_faceframe(
+            self.models[identity_at(asked, self.labels, "the faceframe", (MEAN, SOURCE))]
+        )
+
+    def mixer(self, source: int) -> Mixer:
+        """Give what mixes the expressions of `source`, by its place in `part`; one for all unless it depends on it."""
+        key = source if self.settings.faceframe == SOURCE else 0
+        if key not in self.mixers:
+            places = places_on(self.cast.models, self.faceframe(source))
+            match = None
+            if self.settings.correspondence == EXPRESSION:
+                match = Matcher(self.cast.models, self.cast.keys, places, self.settings.flow).matched
+            self.mixers[key] = Mixer(self.common, self.shares, places, self.surround, match)
+        return self.mixers[key]
+
+    def shows(self, source: int) -> tuple[Show, ...]:
+        """Give how everybody shows what `source` shows; only one source is kept prepared."""
+        if source not in self.prepared:
+            self.prepared.clear()
+            self.prepared[source] = next(iter(list(in_order(self.cast.shows_from, [source]))))
+        return self.prepared[source]
+
+    def versions(self, source: int, frame: int) -> list[Version]:
+        """Give everybody's version of a training frame of `source`, by places in `part`."""
+        return self.cast.versions(source, self.shows(source), frame)
+
+    def pictures(self, source: int, versions: Sequence[Version]) -> list[Image]:
+        """Give a picture (h, w, 3) of every identity that was given: its version; its mean face if it has no part."""
+        mixer = self.mixer(source)
+        place_of = {given: place for place, given in enumerate(self.part)}
+        shown = []
+        for given, model in enumerate(self.models):
+            if given in place_of:
+                place = place_of[given]
+                shown.append(mixer.picture(place, versions[place]))
+            else:
+                onto = affine_between(required_faceframe(model), self.faceframe(source))
+                shown.append(version_picture(model.mean, onto))
+        return shown
+
+    def chosen(self) -> list[tuple[int, int]]:
+        """Give the expressions that are blended: (place in `part`, training frame), a model that comes twice once."""
+        keys = self.cast.keys
+        return [
+            (source, frame)
+            for source, model in enumerate(self.cast.models)
+            if keys[source] not in keys[:source]
+            for frame in spread_out(np.asarray(model.training.values), self.settings.expressions)
+        ]
+
+    def identity(self) -> list[Any]:
+        """Give what every blended picture depends on, as JSON."""
+        cast, settings = self.cast, self.settings
+        faceframes = [self.faceframe(source).points.tolist() for source in range(len(cast.models))]
+        return [
+            list(cast.keys),
+            [float(share) for share in self.shares],
+            self.reference,
+            self.surround,
+            settings.faceframe == SOURCE,
+            faceframes,
+            cast.method,
+            cast.max_sd,
+            settings.correspondence,
+            settings.flow,
+            [None if one is None else one.identity for one in cast.originals],
+        ]
+
+
+def studio_of(models: Sequence[MorphModel], settings: AvatarSettings) -> Studio:
+    """Check what was asked and prepare it. Raises `BadInput`."""
+    check_models(models)
+    weights = check_settings(settings, len(models))
+    keys = [model_key(model) for model in models]
+    labels = labels_of(models, keys)
+    part = tuple(sorted((i for i in range(len(models)) if weights[i] > 0), key=lambda i: (keys[i], i)))
+    taking = [models[i] for i in part]
+    reference = nearest_to_all(taking)
+    if settings.reference is not None:
+        reference = _place(settings.reference, labels, part, "the reference")
+    surround: int | None = reference
+    if settings.surround == FLAT:
+        surround = None
+    elif settings.surround is not None:
+        surround = _place(settings.surround, labels, part, "the surround", (FLAT,))
+    if settings.faceframe not in (MEAN, SOURCE):
+        identity_at(settings.faceframe, labels, "the faceframe", (MEAN, SOURCE))
+    originals = originals_of(models, settings.clips)
+    method = method_of(settings.method, taking)
+    cast = Cast(taking, [keys[i] for i in part], method, settings.max_sd, [originals[i] for i in part])
+    return Studio(models, keys, labels, weights, part, reference, surround, cast, settings)
+
+
+def _place(
+    name: str, labels: Sequence[str], part: Sequence[int], role: str, others: Sequence[str] = ()
+) -> int:
+    """Give the place among those who take part of the identity called `name`. Raises `BadInput`."""
+    given = identity_at(name, labels, role, others)
+    if given not in part:
+        raise BadInput(
+            f"{role} {name} has the weight 0 and takes no part: choose another, or give it some weight"
+        )
+    return list(part).index(given)

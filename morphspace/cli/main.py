@@ -1,0 +1,324 @@
+"""The command line: turns words into requests, shows progress, prints outcomes, and sets the exit code.
+
+Exit 0 when it was done, 2 for something the user can mend, 1 for a failure of ours, 130 when interrupted. Nothing heavy
+is imported before a verb runs, so that help is instant.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+import signal
+import sys
+import threading
+from collections.abc import Callable
+from functools import wraps
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from morphspace import __version__
+from morphspace.cli.avatar import add_avatar
+from morphspace.cli.batch import add_batch
+from morphspace.cli.build import build_model_options
+from morphspace.cli.flow import flow_options
+from morphspace.cli.keypoints import add_keypoints
+from morphspace.cli.measure import add_measure
+from morphspace.cli.mimic import add_mimic
+from morphspace.cli.models import add_models
+from morphspace.cli.motion import add_motion
+from morphspace.cli.stimuli import add_stimuli
+from morphspace.cli.words import CROP, MODEL, OUTPUT_FOLDER, PATH, SIZE
+from morphspace.errors import BadInput, MorphspaceError
+
+if TYPE_CHECKING:
+    from morphspace.outcome import Outcome
+    from morphspace.steps import Step, Steps
+
+PROGRESS_AFTER_S = 2.0
+PROGRESS_EVERY_S, IN_A_LOG_EVERY_S = 0.1, 30.0  # on a terminal; in a file, where each is a line more
+INTERRUPTED = 130
+
+
+class OneLineErrors(click.Group):
+    """A group whose usage errors are one line, like every other error."""
+
+    def main(self, *args: Any, **extra: Any) -> Any:
+        extra["standalone_mode"] = False
+        given = args[0] if args else extra.get("args")
+        is_told = "--json" in (sys.argv[1:] if given is None else given)  # our option is not read yet
+        try:
+            code = super().main(*args, **extra)
+        except click.UsageError as error:
+            if (
+                type(error).__name__ == "NoArgsIsHelpError"
+            ):  # `morphspace` alone: its message is the help itself
+                click.echo(error.format_message())
+                sys.exit(2)
+            words = error.ctx.command_path if error.ctx else "morphspace"
+            _fail(
+                f"{error.format_message().rstrip('.')}. See {words} --help", 2, "Usage" if is_told else None
+            )
+        except click.Abort:
+            _fail("stopped", INTERRUPTED, "Interrupted" if is_told else None)
+        sys.exit(code if isinstance(code, int) else 0)
+
+
+@click.group(
+    cls=OneLineErrors,
+    context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100},
+)
+@click.version_option(__version__, prog_name="morphspace")
+def main() -> None:
+    """Controllable face models for psychophysics, from clips or photographs.
+
+    Start with `morphspace demo`, or with your own frames: `morphspace build-model clips/*.png`.
+    """
+
+
+def _tidy_up_when_asked_to_stop() -> None:
+    """Let SIGTERM and SIGHUP end a verb as Ctrl-C does, so that no unfinished file is left; not under nohup."""
+    if threading.current_thread() is threading.main_thread():
+        for number in (signal.SIGTERM, getattr(signal, "SIGHUP", signal.SIGTERM)):
+            if signal.getsignal(number) == signal.SIG_DFL:
+                signal.signal(number, signal.default_int_handler)
+
+
+def verb(command: Callable[..., Steps[Outcome]]) -> Callable[..., None]:
+    """Give a command the options all verbs share, and run the steps it returns."""
+
+    @click.option("--quiet", is_flag=True, help="Print nothing but errors.")
+    @click.option("--json", "as_json", is_flag=True, help="Print the outcome as JSON, for machines.")
+    @click.option("--debug", is_flag=True, help="Show a traceback when something fails.")
+    @wraps(command)
+    def wrapped(*args: Any, quiet: bool, as_json: bool, debug: bool, **options: Any) -> None:
+        _tidy_up_when_asked_to_stop()
+        try:
+            outcome = _driven(command(*args, **options), quiet or as_json)
+        except KeyboardInterrupt:
+            if debug:
+                raise
+            _fail(
+                "stopped; every file there is whole. The same command goes on where it can",
+                INTERRUPTED,
+                "Interrupted" if as_json else None,
+            )
+        except MorphspaceError as error:
+            if debug:
+                raise
+            _fail(
+                str(error), 2 if isinstance(error, BadInput) else 1, type(error).__name__ if as_json else None
+            )
+        except Exception as error:
+            if debug:
+                raise
+            _fail(
+                f"a fault of morphspace ({type(error).__name__}: {error}); run again with --debug and report it",
+                1,
+                "Fault" if as_json else None,
+            )
+        _show(outcome, quiet, as_json)
+
+    return wrapped
+
+
+def _driven(steps: Steps[Outcome], silent: bool) -> Outcome:
+    """Run the steps with a progress bar a stage; bars appear only for work of more than two seconds."""
+    from morphspace.steps import result_of
+
+    if silent:
+        return result_of(steps)
+    from tqdm import tqdm
+
+    stage, bar = "", None
+
+    def on_step(step: Step) -> None:
+        nonlocal stage, bar
+        if bar is None or step.stage != stage or step.done < bar.n:
+            if bar is not None:
+                bar.close()
+            stage = step.stage
+            bar = tqdm(
+                desc=stage,
+                total=step.total,
+                delay=PROGRESS_AFTER_S,
+                mininterval=PROGRESS_EVERY_S if sys.stderr.isatty() else IN_A_LOG_EVERY_S,
+                leave=False,
+                file=sys.stderr,
+                unit=" ",
+            )
+        bar.update(step.done - bar.n)
+
+    try:
+        return result_of(steps, on_step)
+    finally:
+        if bar is not None:
+            bar.close()
+
+
+def _show(outcome: Outcome, quiet: bool, as_json: bool) -> None:
+    for warning in outcome.warnings:
+        if not quiet:
+            click.echo(f"note: {' '.join(warning.split())}", err=True)
+    if as_json:
+        document = {**outcome.document, "warnings": list(outcome.warnings)}
+        click.echo(json.dumps(document, indent=2, sort_keys=True))
+    elif not quiet:
+        for line in outcome.lines:
+            click.echo(re.sub(r"[\x00-\x1f\x7f]+", " ", line))
+
+
+def _fail(message: str, code: int, kind: str | None = None) -> None:
+    """Print one line on the error stream, and where a machine asked (`kind`) the same as JSON on the other; exit."""
+    line = " ".join(message.split())
+    click.echo(f"morphspace: {line}", err=True)
+    if kind is not None:
+        error = {"exit_code": code, "kind": kind, "message": line}
+        click.echo(json.dumps({"error": error}, indent=2, sort_keys=True))
+    sys.exit(code)
+
+
+SOURCES = click.argument("clip", nargs=-1, required=True)
+CROPPED = click.option("--crop", type=CROP, help="Cut this box out of every frame first, px.")
+
+
+@main.command("build-model")
+@build_model_options
+@verb
+def build_model(clip: tuple[str, ...], **options: Any) -> Steps[Outcome]:
+    """Build a face model from CLIP: image files, a folder, a quoted glob, or a video."""
+    from morphspace.verbs import build_model as verb_module
+
+    return verb_module.run(verb_module.BuildModelRequest(sources=clip, **options))
+
+
+@main.command("info")
+@MODEL
+@verb
+def info(model: Path) -> Steps[Outcome]:
+    """Tell what MODEL is, where it came from, and whether its file is whole."""
+    from morphspace.verbs import info as verb_module
+
+    return verb_module.run(verb_module.InfoRequest(model))
+
+
+@main.command("encode")
+@MODEL
+@SOURCES
+@click.option("-o", "--output", type=PATH, required=True, help="The loadings table (.csv).")
+@CROPPED
+@verb
+def encode(model: Path, clip: tuple[str, ...], **options: Any) -> Steps[Outcome]:
+    """Take the images of CLIP apart into a table of loadings on MODEL, in SD."""
+    from morphspace.verbs import encode as verb_module
+
+    return verb_module.run(verb_module.EncodeRequest(model=model, sources=clip, **options))
+
+
+@main.command("reconstruct")
+@MODEL
+@SOURCES
+@OUTPUT_FOLDER
+@click.option("-k", "--components", type=int, help="At most so many components, the first [default: all].")
+@CROPPED
+@verb
+def reconstruct(model: Path, clip: tuple[str, ...], **options: Any) -> Steps[Outcome]:
+    """Put every image of CLIP together again from its loadings, beside the original, with figures."""
+    from morphspace.verbs import reconstruct as verb_module
+
+    return verb_module.run(verb_module.ReconstructRequest(model=model, sources=clip, **options))
+
+
+@main.command("flow")
+@flow_options
+@verb
+def flow(**options: Any) -> Steps[Outcome]:
+    """Find where each point of picture A is found in picture B, in px on A's grid."""
+    from morphspace.verbs import flow as verb_module
+
+    return verb_module.run_words(**options)
+
+
+for add in (
+    add_avatar,
+    add_batch,
+    add_keypoints,
+    add_measure,
+    add_mimic,
+    add_models,
+    add_motion,
+    add_stimuli,
+):
+    add(main, verb)
+
+
+@main.command("make-actors")
+@OUTPUT_FOLDER
+@click.option(
+    "--identities", type=click.IntRange(0, 1000), default=4, show_default=True, help="How many drawn people."
+)
+@click.option(
+    "--portraits",
+    type=click.IntRange(0, 1000),
+    default=0,
+    show_default=True,
+    help="How many animated photographs, besides.",
+)
+@click.option(
+    "--frames", type=click.IntRange(1, 100_000), default=60, show_default=True, help="Frames of each clip."
+)
+@click.option(
+    "--seed",
+    type=click.IntRange(0),
+    default=1,
+    show_default=True,
+    help="The same seed draws the same people.",
+)
+@click.option("--size", type=SIZE, default="200x240", show_default=True, help="Size of the frames, px.")
+@click.option(
+    "--head-motion",
+    "head_motion_px",
+    type=click.FloatRange(0, 100),
+    default=0.0,
+    show_default=True,
+    help="Rigid head movement, px.",
+)
+@click.option(
+    "--light-change",
+    type=click.FloatRange(0, 1),
+    default=0.0,
+    show_default=True,
+    help="Change of light over the clip, share.",
+)
+@click.option(
+    "--noise",
+    "noise_sd",
+    type=click.FloatRange(0, 1),
+    default=0.0,
+    show_default=True,
+    help="Sensor noise, sd in colour (0 to 1).",
+)
+@verb
+def make_actors(**options: Any) -> Steps[Outcome]:
+    """Draw actors with exact truth: clip folders, and the truth beside them."""
+    from morphspace.verbs import make_actors as verb_module
+
+    return verb_module.run(verb_module.MakeActorsRequest(**options))
+
+
+@main.command("demo")
+@click.option(
+    "-o",
+    "--output",
+    type=PATH,
+    default="morphspace-demo",
+    show_default=True,
+    help="The folder to write into.",
+)
+@verb
+def demo(output: Path) -> Steps[Outcome]:
+    """Draw actors, build their models, render, and write a page to open: the whole path in a minute."""
+    from morphspace.verbs import demo as verb_module
+
+    return verb_module.run(verb_module.DemoRequest(output))

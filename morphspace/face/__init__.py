@@ -1,0 +1,1 @@
+"""Where the face is in a picture: its detector, mesh, faceframe, regions, expression and registration."""

@@ -1,0 +1,66 @@
+"""One crop for a whole clip, from where the face was found in some of its frames (ours).
+
+A single box leaves the head's movement to registration, which measures it to a fraction of a pixel; a box that followed
+the face would put its own jitter in. The proportions are those of frames that were cropped to the head by hand.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from morphspace.face.mesh import FacePoints
+
+# From the middle between the eyes, in eye distances. The crown lies 1.5 to 1.8 above, the chin 1.8 to 1.9 below.
+ABOVE, BELOW, BESIDE = 1.95, 2.35, 1.75
+MOST_OF_PATH = (5, 95)  # percentiles of where the head was; a frame that found something else must not decide
+
+
+@dataclass(frozen=True, eq=False)
+class FoundCrop:
+    """A crop: `box` (x, y, w, h) px | `eyes_px` the median eye distance | `frames` looked at, `found` with a face."""
+
+    box: tuple[int, int, int, int]
+    eyes_px: float
+    frames: int
+    found: int
+
+    @property
+    def document(self) -> dict[str, Any]:
+        """What a model's provenance says of how the crop was found."""
+        return {"frames": self.frames, "found": self.found, "eyes_px": round(self.eyes_px, 2)}
+
+
+def head_crop(
+    faces: Sequence[FacePoints], picture: tuple[int, int], aspect: float
+) -> tuple[int, int, int, int]:
+    """Give the box (x, y, w, h) px that holds the head in all faces, inside a picture of (w, h) px.
+
+    `aspect` is width over height. A box that would leave the picture is moved inside it, and made smaller where it is
+    larger than the picture.
+    """
+    eyes = median_eyes_px(faces)
+    middles = np.array([face.faceframe().points[:2].mean(axis=0) for face in faces])
+    first, last = np.percentile(middles, MOST_OF_PATH, axis=0)
+    low = first - np.array([BESIDE, ABOVE]) * eyes
+    high = last + np.array([BESIDE, BELOW]) * eyes
+    width, height = high - low
+    width, height = max(width, height * aspect), max(height, width / aspect)
+    share = min(1.0, picture[0] / width, picture[1] / height)
+    size = np.array([width, height]) * share
+    # Rounded down: a box must not be larger than the picture it lies in.
+    w, h = (max(1, int(min(side, most))) for side, most in zip(np.round(size), picture, strict=True))
+    middle = (low + high) / 2
+    x, y = (
+        int(np.clip(round(float(centre) - side / 2 + 0.5), 0, most - side))
+        for centre, side, most in zip(middle, (w, h), picture, strict=True)
+    )
+    return x, y, w, h
+
+
+def median_eyes_px(faces: Sequence[FacePoints]) -> float:
+    """Give the median distance between the eyes, px; a head that turns shows it too short."""
+    return float(np.median([face.interocular_px for face in faces]))

@@ -1,0 +1,10 @@
+"""Finding a face and its points in an image, offline, with MediaPipe's three networks.
+
+`morphspace models fetch` brings them once; nothing here goes to the network otherwise. `models` says which files they
+are and where they lie, `fetch` brings them, `detector` runs them.
+"""
+
+from morphspace.face.detector.detect import Detector, load_detector
+from morphspace.face.detector.models import MissingModels, models_folder, models_present
+
+__all__ = ["Detector", "MissingModels", "load_detector", "models_folder", "models_present"]

@@ -1,0 +1,125 @@
+"""Points found on a face in one image: the 478 of MediaPipe's mesh, by name, and what is measured from them.
+
+The faceframe (Nagle sections 3 and 4, step 4) is taken from them: an eye's centre is the mean of its lid ring, which
+stays in place through a blink where the iris does not, and the philtrum's is one point of the mesh (ours). "Right" is
+the subject's right, which is the image's left.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from morphspace.arrays import AnyArray, Points
+from morphspace.errors import BadInput
+from morphspace.face.faceframe import FaceFrame
+
+SCHEME = "mediapipe-478"
+POINT_COUNT = 478
+MESH_COUNT = 468  # the rest are the two irises
+
+# Lid rings run from the outer corner along the lower lid to the inner corner, and back along the upper lid.
+RIGHT_LIDS = (33, 7, 163, 144, 145, 153, 154, 155, 133, 173, 157, 158, 159, 160, 161, 246)
+LEFT_LIDS = (263, 249, 390, 373, 374, 380, 381, 382, 362, 398, 384, 385, 386, 387, 388, 466)
+RIGHT_IRIS = (468, 469, 470, 471, 472)  # centre, then the rim
+LEFT_IRIS = (473, 474, 475, 476, 477)
+RIGHT_BROW = (70, 63, 105, 66, 107, 55, 65, 52, 53, 46)  # upper edge inwards, lower edge outwards
+LEFT_BROW = (300, 293, 334, 296, 336, 285, 295, 282, 283, 276)
+# Lip rings run from the subject's right corner along the upper lip, and back along the lower lip.
+OUTER_LIPS = (61, 185, 40, 39, 37, 0, 267, 269, 270, 409, 291, 375, 321, 405, 314, 17, 84, 181, 91, 146)
+INNER_LIPS = (78, 191, 80, 81, 82, 13, 312, 311, 310, 415, 308, 324, 318, 402, 317, 14, 87, 178, 88, 95)
+LIPS = OUTER_LIPS + INNER_LIPS
+MOUTH_CORNERS = (61, 291)
+UPPER_LIP_BOTTOM, LOWER_LIP_TOP = 13, 14
+# The face's rim runs from the top of the forehead down the image's right side to the chin, and back up.
+FACE_OUTLINE = (
+    *(10, 338, 297, 332, 284, 251, 389, 356, 454, 323, 361, 288, 397, 365, 379, 378, 400, 377, 152),
+    *(148, 176, 149, 150, 136, 172, 58, 132, 93, 234, 127, 162, 21, 54, 103, 67, 109),
+)
+# What moves with the skull: corners of the eyes, root, ridge and base of the nose; no brow, lid, cheek, lip or jaw.
+RIGID_POINTS = (33, 133, 362, 263, 168, 6, 197, 195, 5, 4, 1, 2, 98, 327)
+PHILTRUM = 164
+
+# Pairs of like points, the subject's right first, and a line down the face: none moves much with expression.
+MIRRORED_PAIRS = ((33, 263), (133, 362), (127, 356), (234, 454), (162, 389), (98, 327))
+DOWN_FROM, DOWN_TO = (33, 133, 362, 263), (98, 2, 327)  # the corners of the eyes, the base of the nose
+# How far the base of the nose stands before the eyes in a face that looks at the camera: the median over eleven clips.
+RESTING_PITCH_DEG = 23.5
+MAX_TURN_DEG = 20.0  # beyond it a driving face is flagged: the far side is hidden
+
+
+@dataclass(frozen=True, eq=False)
+class FacePoints:
+    """Points on a face: `points` (n, 2) px | `score` of the face in [0, 1] | `scheme`, what each point is.
+
+    `depth` (n,) px is the distance behind the face's own centre as the detector guesses it, in pixels of the image,
+    smaller nearer to the camera; empty where it is not known. Raises `BadInput` for points that do not fit the scheme
+    or are not finite.
+    """
+
+    points: Points
+    score: float
+    scheme: str = SCHEME
+    depth: AnyArray | None = None
+
+    def __post_init__(self) -> None:
+        expected = (POINT_COUNT, 2) if self.scheme == SCHEME else (len(self.points), 2)
+        if self.points.shape != expected:
+            raise BadInput(f"{self.scheme} has points of shape {expected}, these are {self.points.shape}")
+        if self.depth is not None and self.depth.shape != expected[:1]:
+            raise BadInput(f"{expected[0]} points have depths of shape {self.depth.shape}: give one for each")
+        if not np.isfinite(self.points).all():
+            raise BadInput("some face points are not finite: leave this frame out")
+
+    def faceframe(self) -> FaceFrame:
+        """Give the faceframe: means of the lid rings, and the middle of the philtrum."""
+        self._need_scheme()
+        three = [
+            self.points[list(RIGHT_LIDS)].mean(axis=0),
+            self.points[list(LEFT_LIDS)].mean(axis=0),
+            self.points[PHILTRUM],
+        ]
+        right, left, lip = ((float(x), float(y)) for x, y in three)
+        return FaceFrame(right, left, lip)
+
+    @property
+    def interocular_px(self) -> float:
+        """The distance between the eye centres, px."""
+        frame = self.faceframe()
+        return float(np.hypot(*np.subtract(frame.left_eye, frame.right_eye)))
+
+    @property
+    def turn_degrees(self) -> tuple[float, float]:
+        """How far the head is turned out of the picture: (yaw, pitch) degrees, from the guessed depth (ours).
+
+        Yaw is positive where the face looks to the image's right, pitch where it looks up. It is good to a few
+        degrees up to about 30, and pitch less so: noses differ. Raises `BadInput` where no depth is known.
+        """
+        self._need_scheme()
+        if self.depth is None:
+            raise BadInput(
+                "these face points have no depth, so the head's turn is not known: detect them anew"
+            )
+        solid = np.column_stack([self.points, self.depth])
+        right, left = (list(side) for side in zip(*MIRRORED_PAIRS, strict=True))
+        across = (solid[left] - solid[right]).sum(axis=0)
+        down = solid[list(DOWN_TO)].mean(axis=0) - solid[list(DOWN_FROM)].mean(axis=0)
+        yaw = np.degrees(np.arctan2(across[2], np.hypot(across[0], across[1])))
+        # The nose stands out along the viewing direction of the face; the part of `down` along the eye line is noise.
+        across = across / np.linalg.norm(across)
+        down = down - (down @ across) * across
+        pitch = np.degrees(np.arctan2(-down[2], np.hypot(down[0], down[1]))) - RESTING_PITCH_DEG
+        return float(yaw), float(pitch)
+
+    def is_turned(self, limit_deg: float = MAX_TURN_DEG) -> bool:
+        """Tell whether the head is turned out of the picture by more than `limit_deg`, to a side or up or down."""
+        return max(map(abs, self.turn_degrees)) > limit_deg
+
+    def moved(self, points: Points) -> FacePoints:
+        """Give the same face with its points (n, 2) px elsewhere; the depth, which belonged to the old ones, goes."""
+        return FacePoints(np.asarray(points, np.float64), self.score, self.scheme)
+
+    def _need_scheme(self) -> None:
+        if self.scheme != SCHEME:
+            raise BadInput(f"these face points are {self.scheme}, {SCHEME} is needed: detect them anew")

@@ -1,0 +1,66 @@
+"""The points of the face in every frame of a clip: found once a frame, and kept in the work folder (ours).
+
+A detector sees where a face stands without knowing the reference, so it tells a head that moved far from one that
+changed, which dense flow cannot. What a build takes from the points is in `anchoring`.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from morphspace.arrays import Image
+from morphspace.errors import UnreadableFile
+from morphspace.face.finder import FaceFinder
+from morphspace.face.mesh import FacePoints
+from morphspace.io.framing import FrameSource, same_size
+from morphspace.steps import Step, Steps, in_order
+from morphspace.storage import KEY_DIGITS, digest_of_json, read_container, write_container
+
+POINTS_FORMAT = "morphspace-frame-points-1"
+
+
+def points_steps(
+    source: FrameSource, finder: FaceFinder, work_folder: Path
+) -> Steps[tuple[FacePoints | None, ...]]:
+    """Find the face in each frame, or take it from the work folder; None where there is none. A generator of steps."""
+    common = [POINTS_FORMAT, cv2.__version__, dict(finder.identity)]
+    files = [
+        work_folder / f"{digest_of_json([*common, digest])[:KEY_DIGITS]}.points" for digest in source.digests
+    ]
+    missing = [index for index, file in enumerate(files) if not _is_whole(file)]
+
+    def find(item: tuple[int, Image]) -> None:
+        index, image = item
+        _write(files[index], finder.find(image))
+
+    finished = len(files) - len(missing)
+    for _ in in_order(find, same_size(source, missing)):
+        finished += 1
+        yield Step("faces", finished, len(files))
+    return tuple(_read(file) for file in files)
+
+
+def _write(file: Path, found: FacePoints | None) -> None:
+    arrays = {} if found is None else {"points": np.asarray(found.points, np.float64)}
+    if found is not None and found.depth is not None:
+        arrays["depth"] = np.asarray(found.depth, np.float64)
+    score = None if found is None else found.score
+    write_container(file, arrays, {"format": POINTS_FORMAT, "found": found is not None, "score": score})
+
+
+def _read(file: Path) -> FacePoints | None:
+    arrays, document = read_container(file)
+    if not document["found"]:
+        return None
+    depth = np.array(arrays["depth"]) if "depth" in arrays else None
+    return FacePoints(np.array(arrays["points"]), float(document["score"]), depth=depth)
+
+
+def _is_whole(file: Path) -> bool:
+    try:
+        return bool(read_container(file)[1].get("format") == POINTS_FORMAT)
+    except UnreadableFile:
+        return False

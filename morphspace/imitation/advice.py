@@ -1,0 +1,102 @@
+"""What a person should know of a measured imitation before reading its figures, each with what to do about it."""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+
+import numpy as np
+
+from morphspace.arrays import AnyArray, LoadingTable
+from morphspace.imitation import Comparison
+from morphspace.imitation.motions import Motion
+from morphspace.model.model import MorphModel
+
+MOVED_SD = (
+    2.0  # means farther apart than this tell of another face, light or camera, not of another expression
+)
+HARDLY = 0.05  # of the other's motion, root mean square
+SAME = 0.999  # a correlation with nothing left to find by a lag
+SMALL_P = 0.02  # where no p can go below it, the reader must know: the least ones rest on a shift or two
+
+
+def mean_apart(a_sd: LoadingTable, b_sd: LoadingTable, imitation: Motion, notes: list[str]) -> AnyArray:
+    """Give what brings the imitation's mean to the stimulus' (k,), or zeros where they are close; say so if not."""
+    apart = a_sd.mean(axis=0) - b_sd.mean(axis=0)
+    farthest = int(np.abs(apart).argmax())
+    if abs(apart[farthest]) <= MOVED_SD:
+        return np.zeros_like(apart)
+    why = "another face, light or camera"
+    if imitation.imitator is not None:
+        why = "what is neutral differs between the two models, or the imitation holds mostly one expression"
+    notes.append(
+        f"the imitation lies {abs(apart[farthest]):.1f} SD from the stimulus on average (pc{farthest + 1:03d}): {why}; "
+        "distances hold that offset, distance_centred_sd and correlations do not, and it is drawn without it"
+    )
+    return np.asarray(apart)
+
+
+def strange_words(
+    stimulus: Motion, imitation: Motion, model: MorphModel, faceless: Collection[str]
+) -> list[str]:
+    """Say of each clip that is evidently not of the model's person, camera and light, what to do about it.
+
+    Nothing of a role that is `faceless`, whose frames show no face at all.
+    """
+    words = []
+    for role, source, cure in (
+        ("stimulus", stimulus, "give the stimulus' own model as --model"),
+        (
+            "imitation",
+            imitation,
+            "build a model of who imitates, give it keypoints (morphspace keypoints), and name it with --imitator",
+        ),
+    ):
+        if source.is_strange and role not in faceless:
+            words.append(
+                f"the {role} {source.name} is evidently of another person, day or camera than {model.identity}: its "
+                f"frames lie {source.outside:.1f} times the model's variance outside its space (about 0.2 where they "
+                f"do not), so that the figures tell of the face more than of its motion; {cure}"
+            )
+    return words
+
+
+def size_words(stimulus: LoadingTable, imitation: LoadingTable) -> list[str]:
+    """Say of plain loadings (n, k), (m, k) where one hardly moves beside the other."""
+    sizes = {
+        role: float(np.sqrt(values.var(axis=0).sum()))
+        for role, values in (("stimulus", stimulus), ("imitation", imitation))
+    }
+    return [
+        f"the {role} hardly moves, {100 * size / sizes[other]:.1f} % of the {other}'s motion: what correlates with it "
+        "may be noise"
+        for role, size, other in (
+            ("stimulus", sizes["stimulus"], "imitation"),
+            ("imitation", sizes["imitation"], "stimulus"),
+        )
+        if 0 < size < HARDLY * sizes[other]
+    ]
+
+
+def chance_words(comparison: Comparison) -> list[str]:
+    """Say where no p can be small, and where the best lag lies at the end of what was searched."""
+    notes = []
+    baseline = comparison.baseline
+    least = baseline.least
+    if least["frame_by_frame"] > SMALL_P:
+        searched = max(least["lag"], least["alignment"])
+        others = (
+            f" (at the best lag and aligned down to {searched:.2g})"
+            if searched < least["frame_by_frame"]
+            else ""
+        )
+        why = "more frames" if baseline.is_exhaustive else "more permutations"
+        notes.append(
+            f"with {len(baseline.shifts)} circular shifts no p of frames in pairs can be below "
+            f"{least['frame_by_frame']:.2g}{others}: {why} are needed for a smaller one"
+        )
+    lag = comparison.measures["lag_frames"][-1]
+    if lag in (comparison.lags[0], comparison.lags[-1]) and comparison.measures["correlation"][-1] < SAME:
+        notes.append(
+            f"the best lag, {lag:.0f} frames, is the farthest that was tried: it may lie beyond, or there may be none"
+        )
+    return notes

@@ -1,0 +1,203 @@
+"""The table of an imitation's measures, and beside it what each column means (data_spec/imitation-table.md)."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from morphspace.arrays import AnyArray, LoadingTable
+from morphspace.imitation import Comparison
+from morphspace.imitation.information import LEAST_FRAMES_INFORMATION
+from morphspace.imitation.shape import varies
+from morphspace.io.tables import write_metrics_table
+from morphspace.outcome import versions
+from morphspace.storage import json_text, write_text
+
+FORMAT, VERSION = "morphspace-imitation", 1
+NAMED = 5  # components in a sentence
+ALL = "all"  # the row of all components together
+
+# In the order of the table: name -> (unit, what it is).
+COLUMNS: dict[str, tuple[str, str]] = {
+    "name": ("", f"the component, or {ALL}: all together"),
+    "variance_percent": ("%", "share of the model's variance"),
+    "visible_share": ("", "share of the component that the mask or region shows; 1 for the whole face"),
+    "correlation": (
+        "",
+        "Pearson's r of frames in pairs; all: summed covariances over the root of summed variances",
+    ),
+    "correlation_p": ("", "chance of a correlation as high"),
+    "correlation_p_familywise": ("", "the same, with every component tested at once (Westfall and Young)"),
+    "cosine": ("", "cosine of the two sequences as vectors, from the model's mean"),
+    "gain": ("", "slope of the imitation on the stimulus, from the mean of each"),
+    "distance_sd": (
+        "SD",
+        "Euclidean distance in SD of each component, root mean square over frames in pairs",
+    ),
+    "distance_sd_p": ("", "chance of a distance as small"),
+    "distance": ("loading", "Euclidean distance in plain loadings, root mean square over frames in pairs"),
+    "distance_centred_sd": ("SD", "distance_sd once each sequence is moved to its own mean"),
+    "mutual_information_nats": (
+        "nat",
+        "Kraskov, Stögbauer and Grassberger 2004, estimator 1, 3 neighbours; all: the sum over components",
+    ),
+    "mutual_information_nats_p": ("", "chance of as much mutual information"),
+    "entropy_stimulus_nats": (
+        "nat",
+        "differential Shannon entropy of loadings in SD, Ebrahimi's estimator; all: the sum over components",
+    ),
+    "entropy_imitation_nats": ("nat", "the same of the imitation"),
+    "lag_frames": (
+        "frame",
+        "lag of the highest correlation over at least half of the shorter sequence; above 0 the imitation is later",
+    ),
+    "lag_s": ("s", "the same in seconds, where a frame rate is known"),
+    "correlation_at_lag": ("", "the correlation at that lag"),
+    "correlation_at_lag_p": ("", "chance of one as high at its own best lag, the larger of two kinds"),
+    "correlation_aligned": (
+        "",
+        "correlation after dynamic time warping, which is one for all components and at most a quarter of the length",
+    ),
+    "correlation_aligned_p": ("", "chance of one as high after its own alignment, the larger of two kinds"),
+    "alignment_cost": (
+        "",
+        "distance left a step between the two aligned motions, each centred and of mean square 1; only all together",
+    ),
+    "alignment_cost_p": ("", "chance of a cost as low, the larger of two kinds"),
+    "alignment_steps": ("step", "length of the path of pairs of frames; only all together"),
+    "alignment_timing_rms_frames": (
+        "frame",
+        "how far alignment moved frames from an even course; only all together",
+    ),
+    "alignment_delay_frames": (
+        "frame",
+        "how much later than an even course the imitation is; only all together",
+    ),
+    "undefined": ("", "why cells of the row are empty, where they should not be"),
+}
+
+# Of each number in the file. Loadings of one clip by another build, flow or machine move measures in the third.
+DECIMALS = {"variance_percent": 3, "distance": 6, "lag_frames": 3, "alignment_steps": 0}
+P_DECIMALS = 6  # a p is a count over the permutations
+OTHERS = 4
+TEXTS = "name", "undefined"
+
+
+def component_names(count: int) -> list[str]:
+    """Give the names of the rows: the components, then all together."""
+    return [*(f"pc{number:03d}" for number in range(1, count + 1)), ALL]
+
+
+def reasons_of(comparison: Comparison, stimulus_sd: LoadingTable, imitation_sd: LoadingTable) -> list[str]:
+    """Say for each row why measures of it are undefined; empty where none is."""
+    n = min(len(stimulus_sd), len(imitation_sd))
+    motions = {"stimulus": stimulus_sd, "imitation": imitation_sd}
+    reasons = []
+    for place in range(stimulus_sd.shape[1] + 1):
+        columns = slice(None) if place == stimulus_sd.shape[1] else slice(place, place + 1)
+        found = []
+        for role, values in motions.items():
+            if not varies(values[:n, columns]).any():
+                later = f" in the first {n} frames" if varies(values[:, columns]).any() else ""
+                found.append(f"the {role} does not move{later}")
+        reasons.append("; ".join(found or _missing(comparison, place, n)))
+    return reasons
+
+
+def still_names(stimulus_sd: LoadingTable, imitation_sd: LoadingTable) -> dict[str, list[str]]:
+    """Give for each of the two the components that do not move at all."""
+    names = component_names(stimulus_sd.shape[1])
+    return {
+        role: [name for name, moves in zip(names, varies(values), strict=False) if not moves]
+        for role, values in (("stimulus", stimulus_sd), ("imitation", imitation_sd))
+    }
+
+
+def still_words(stimulus_sd: LoadingTable, imitation_sd: LoadingTable) -> tuple[str, ...]:
+    """Say in one line that the stimulus, the imitation or both do not move at all; nothing where both do."""
+    count = stimulus_sd.shape[1]
+    names = [role for role, found in still_names(stimulus_sd, imitation_sd).items() if len(found) == count]
+    if not names:
+        return ()
+    n = min(len(stimulus_sd), len(imitation_sd))
+    apart = float(np.sqrt(((stimulus_sd[:n] - imitation_sd[:n]) ** 2).sum(axis=1).mean()))
+    who = (
+        f"the {names[0]} does not move" if len(names) == 1 else "neither the stimulus nor the imitation moves"
+    )
+    return (
+        f"{who}: there is no correlation, gain, lag or alignment to measure; the distance is {apart:.2f} SD",
+    )
+
+
+def still_components_words(stimulus_sd: LoadingTable, imitation_sd: LoadingTable) -> list[str]:
+    """Say which components do not move in a motion that does."""
+    words = []
+    for role, names in still_names(stimulus_sd, imitation_sd).items():
+        if 0 < len(names) < stimulus_sd.shape[1]:
+            some = ", ".join(names[:NAMED]) + (" ..." if len(names) > NAMED else "")
+            words.append(
+                f"{len(names)} of {stimulus_sd.shape[1]} components of the {role} do not move ({some}): what is "
+                "undefined for them is empty, and the column undefined says why"
+            )
+    return words
+
+
+def _missing(comparison: Comparison, place: int, n: int) -> list[str]:
+    if n < LEAST_FRAMES_INFORMATION:
+        return [f"{n} frames: information and entropy need {LEAST_FRAMES_INFORMATION}"]
+    entropies = [comparison.measures[f"entropy_{role}_nats"][place] for role in ("stimulus", "imitation")]
+    return [] if np.isfinite(entropies).all() else ["too many equal values for an entropy"]
+
+
+def write_measures(
+    folder: Path,
+    comparison: Comparison,
+    variance_percent: AnyArray,
+    visible_share: AnyArray,
+    rate_hz: float | None,
+    reasons: Sequence[str],
+    told: Mapping[str, Any],
+) -> tuple[Path, Path]:
+    """Write measures.csv, and measures.json that describes its columns and holds what was `told`."""
+    k = len(variance_percent)
+    nothing = np.full(k, np.nan)
+    measures = comparison.measures
+    alignment = comparison.alignment
+    moves = np.isfinite(measures["alignment_cost"][-1])
+    path_figures = {
+        "alignment_steps": float(len(alignment.path)),
+        "alignment_timing_rms_frames": alignment.timing_rms_frames,
+        "alignment_delay_frames": alignment.delay_frames,
+    }
+    values: dict[str, Sequence[Any]] = {
+        "name": component_names(k),
+        "variance_percent": [*variance_percent.tolist(), float(variance_percent.sum())],
+        "visible_share": [*visible_share.tolist(), None],
+        "lag_s": (measures["lag_frames"] / rate_hz if rate_hz else np.full(k + 1, np.nan)).tolist(),
+        **{name: values.tolist() for name, values in measures.items()},
+        **{name: [*nothing.tolist(), value if moves else None] for name, value in path_figures.items()},
+        "undefined": list(reasons),
+    }
+    table, beside = folder / "measures.csv", folder / "measures.json"
+    write_metrics_table(table, {name: _rounded(name, values[name]) for name in COLUMNS})
+    document = {
+        "format": FORMAT,
+        "version": VERSION,
+        "columns": {name: {"unit": unit, "meaning": meaning} for name, (unit, meaning) in COLUMNS.items()},
+        **told,
+        "versions": versions(),
+    }
+    write_text(beside, json_text(document))
+    return table, beside
+
+
+def _rounded(name: str, values: Sequence[Any]) -> list[Any]:
+    """Give the numbers of a column to as many decimals as they are good for; texts as they are."""
+    if name in TEXTS:
+        return list(values)
+    others = P_DECIMALS if name.endswith(("_p", "_p_familywise")) else OTHERS
+    decimals = DECIMALS.get(name, others)
+    return [None if value is None else round(float(value), decimals) + 0.0 for value in values]

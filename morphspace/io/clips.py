@@ -1,0 +1,278 @@
+"""Clips: a folder, a glob, a list of files or a video, all seen as one row of frames of one size (ours).
+
+Opening reads names and headers only; pictures are decoded one at a time when asked for. The layout of a clip
+folder is `data_spec/clip-folder.md`.
+"""
+
+from __future__ import annotations
+
+import glob
+import os
+import re
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from morphspace.arrays import Image
+from morphspace.errors import BadInput, SizeMismatch, UnreadableFile
+from morphspace.io.images import image_size, read_image
+from morphspace.io.sidecars import Sidecar, read_sidecar
+from morphspace.storage import digest_of_bytes, digest_of_file
+
+IMAGE_SUFFIXES = (".png", ".tif", ".tiff", ".jpg", ".jpeg", ".exr", ".bmp", ".webp")
+VIDEO_SUFFIXES = (".mp4", ".mov", ".mkv", ".avi", ".webm", ".m4v", ".mpg", ".mpeg")
+FRAMES_FOLDER = "frames"  # NAME/frames/*.jpg is the clip NAME
+SIDECAR_NAME = "clip.json"
+LISTED_SIZES = 5  # distinct sizes a message names before it stops
+
+
+@dataclass(frozen=True, eq=False)
+class Clip:
+    """A row of frames of one size.
+
+    `frame_names` are unique: the file names without suffix, or for a video its name and the frame number from
+    0. `size` is (width, height) px. `paths` holds one file a frame; for a video that is the same file each
+    time and `video_indices` tells which frame of it, else `video_indices` is None. Made by `open_clip`.
+    """
+
+    name: str
+    frame_names: tuple[str, ...]
+    size: tuple[int, int]
+    sidecar: Sidecar
+    paths: tuple[Path, ...]
+    video_indices: tuple[int, ...] | None = None
+
+    def __len__(self) -> int:
+        return len(self.frame_names)
+
+    def load(self, index: int) -> Image:
+        """Decode one frame, (h, w, 3). `index` may count from the end as in a list. Raises as `read_image`
+        does.
+        """
+        return next(self.images([index]))
+
+    def images(self, indices: Sequence[int] | None = None) -> Iterator[Image]:
+        """Yield frames one at a time, all or those of `indices` in that order; a video is decoded in
+        sequence.
+
+        Raises `BadInput` for an index beyond the clip, and what `read_image` and `read_frames` raise.
+        """
+        places = self._places(range(len(self)) if indices is None else indices)
+        if self.video_indices is None:
+            for place in places:
+                yield read_image(self.paths[place])
+        elif places:
+            from morphspace.io.video import read_frames  # loads libav, which stills do not need
+
+            yield from read_frames(self.paths[0], [self.video_indices[place] for place in places])
+
+    def digests(self) -> tuple[str, ...]:
+        """Give a SHA-256 a frame: of the file's bytes, or for a video of the file's digest and the frame
+        number.
+        """
+        if self.video_indices is None:
+            return tuple(map(digest_of_file, self.paths))
+        whole = digest_of_file(self.paths[0])
+        return tuple(digest_of_bytes(f"{whole} {index}".encode()) for index in self.video_indices)
+
+    def subset(self, indices: Sequence[int]) -> Clip:
+        """Give the clip of these frames, in this order, each at most once. Raises `BadInput` (none, repeated,
+        beyond).
+        """
+        places = self._places(indices)
+        if not places or len(set(places)) < len(places):
+            raise BadInput(
+                f"clip {self.name}: a subset needs one frame or more, each once, got {list(indices)}"
+            )
+        return replace(
+            self,
+            frame_names=tuple(self.frame_names[place] for place in places),
+            paths=tuple(self.paths[place] for place in places),
+            video_indices=None
+            if self.video_indices is None
+            else tuple(self.video_indices[p] for p in places),
+        )
+
+    def _places(self, indices: Sequence[int]) -> list[int]:
+        for index in indices:
+            if not -len(self) <= index < len(self):
+                raise BadInput(f"clip {self.name} has {len(self)} frames, frame {index} was asked for")
+        return [int(index) % len(self) for index in indices]
+
+
+def natural_key(name: str) -> tuple[tuple[tuple[int, int, str], ...], str]:
+    """Give a sorting key that puts frame 2 before frame 10; equal keys fall back to the plain name."""
+    parts = re.split(r"([0-9]+)", name)
+    return tuple(
+        (0, int(part), "") if part.isdigit() else (1, 0, part.casefold()) for part in parts if part
+    ), name
+
+
+def open_clip(sources: Sequence[str | Path]) -> Clip:
+    """Open one folder, one glob pattern, one video, or several image files as a clip, in natural order of
+    names.
+
+    A folder gives its images, or those of its folder `frames`; hidden files and other kinds are passed over.
+    The `clip.json` in the folder, or beside a folder called `frames`, becomes the sidecar; for a video it is
+    `<name>.clip.json` beside it. Files from several folders get their folder's name as prefix where names
+    clash.
+
+    Raises `BadInput` (nothing there, no match, a file given twice, videos mixed with other files),
+    `SizeMismatch` (sizes that differ, listed) and `UnreadableFile`.
+    """
+    given = [str(source) for source in ([sources] if isinstance(sources, str | Path) else sources)]
+    if not given:
+        raise BadInput(
+            "no clip was given: name a folder, a video, image files, or a pattern such as 'face/*.png'"
+        )
+    found = [path for source in given for path in _expand(source)]
+    if len(found) == 1 and found[0].is_dir():
+        return _clip_of_folder(found[0])
+    folders = [path for path in found if path.is_dir()]
+    if folders:
+        raise BadInput(
+            f"a clip is one folder or several files, {len(found)} things were given, "
+            f"among them the folder {folders[0]}"
+        )
+    videos = [path for path in found if path.suffix.lower() in VIDEO_SUFFIXES]
+    if videos:
+        if len(found) > 1:
+            raise BadInput(
+                f"a clip is one video or several images, {len(found)} files were given, "
+                f"among them {videos[0]}"
+            )
+        return _clip_of_video(found[0])
+    return _clip_of_files(found, None)
+
+
+def _expand(source: str) -> list[Path]:
+    """Give the existing path, or what a pattern matches."""
+    path = Path(source)
+    try:
+        if path.exists():
+            if path.is_file() and path.suffix.lower() not in IMAGE_SUFFIXES + VIDEO_SUFFIXES:
+                kinds = ", ".join(IMAGE_SUFFIXES + VIDEO_SUFFIXES)
+                raise BadInput(
+                    f"{path} is neither an image nor a video by its suffix: one of {kinds} was expected"
+                )
+            return [path]
+    except OSError as error:
+        raise UnreadableFile(f"cannot read {path}: {error.strerror}") from error
+    if not glob.has_magic(str(path)):
+        raise BadInput(
+            f"{path} does not exist: a folder of images, an image, a video or a quoted pattern was expected"
+        )
+    # pathlib's glob cannot take an absolute pattern, and a pattern is what was given
+    matches = [Path(match) for match in glob.glob(str(path), recursive=True)]  # noqa: PTH207
+    if len(matches) == 1 and matches[0].is_dir():
+        return matches
+    files = [match for match in matches if _is_kind(match, IMAGE_SUFFIXES)] or [
+        match for match in matches if _is_kind(match, VIDEO_SUFFIXES)
+    ]
+    if not files:
+        raise BadInput(
+            f"no image or video matches {source} ({len(matches)} other matches): check the pattern"
+        )
+    return files
+
+
+def _is_kind(path: Path, suffixes: tuple[str, ...]) -> bool:
+    return path.suffix.lower() in suffixes and not path.name.startswith(".") and not path.is_dir()
+
+
+def _clip_of_folder(folder: Path) -> Clip:
+    for place in (folder, folder / FRAMES_FOLDER):
+        images = _images_in(place)
+        if images:
+            return _clip_of_files(images, place)
+    videos = sum(_is_kind(path, VIDEO_SUFFIXES) for path in folder.iterdir())
+    hint = f"; it holds {videos} video(s), name the file itself" if videos else ""
+    raise BadInput(
+        f"{folder} holds no images ({', '.join(IMAGE_SUFFIXES)}), "
+        f"nor does a folder {FRAMES_FOLDER} in it{hint}"
+    )
+
+
+def _images_in(folder: Path) -> list[Path]:
+    try:
+        return (
+            [path for path in folder.iterdir() if _is_kind(path, IMAGE_SUFFIXES)] if folder.is_dir() else []
+        )
+    except OSError as error:
+        raise UnreadableFile(f"cannot read {folder}: {error.strerror}; check the permissions") from error
+
+
+def _clip_of_files(files: Sequence[Path], folder: Path | None) -> Clip:
+    paths = sorted(files, key=lambda path: natural_key(path.as_posix()))
+    repeated = [path for path, count in Counter(path.resolve() for path in paths).items() if count > 1]
+    if repeated:
+        raise BadInput(
+            f"{repeated[0]} was given more than once ({len(repeated)} such files): give each frame once"
+        )
+    parents = {path.parent.resolve() for path in paths}
+    home = folder or (paths[0].parent if len(parents) == 1 else None)
+    name = _name_of(home or Path(os.path.commonpath(parents)))
+    return Clip(name, _unique_names(paths), _common_size(paths), _sidecar_of(home), tuple(paths))
+
+
+def _clip_of_video(path: Path) -> Clip:
+    from morphspace.io.video import video_info  # loads libav, which stills do not need
+
+    info = video_info(path)
+    beside = path.with_suffix("." + SIDECAR_NAME)
+    sidecar = read_sidecar(beside) if beside.is_file() else Sidecar()
+    if sidecar.frame_rate_hz is None and info.frame_rate_hz > 0:
+        sidecar = replace(sidecar, frame_rate_hz=info.frame_rate_hz)
+    digits = max(6, len(str(info.frame_count)))
+    names = tuple(f"{path.stem}_{index:0{digits}d}" for index in range(info.frame_count))
+    indices = tuple(range(info.frame_count))
+    return Clip(path.stem, names, info.size, sidecar, (path,) * info.frame_count, indices)
+
+
+def _name_of(folder: Path) -> str:
+    folder = folder.resolve()
+    return (folder.parent if folder.name == FRAMES_FOLDER else folder).name or "clip"
+
+
+def _sidecar_of(folder: Path | None) -> Sidecar:
+    if folder is None:
+        return Sidecar()
+    places = [folder, folder.resolve().parent] if folder.resolve().name == FRAMES_FOLDER else [folder]
+    for place in places:
+        if (place / SIDECAR_NAME).is_file():
+            return read_sidecar(place / SIDECAR_NAME)
+    return Sidecar()
+
+
+def _unique_names(paths: Sequence[Path]) -> tuple[str, ...]:
+    """Give file names without suffix; where they clash all get suffixes, then folder names as prefix."""
+    names = [path.stem for path in paths]
+    if len(set(names)) == len(names):
+        return tuple(names)
+    whole = [path.name for path in paths]
+    if len(set(whole)) == len(whole):
+        return tuple(whole)
+    parts = [path.resolve().with_suffix("").parts[1:] for path in paths]
+    for depth in range(2, max(map(len, parts)) + 1):
+        names = ["_".join(part[-depth:]) for part in parts]
+        if len(set(names)) == len(names):
+            return tuple(names)
+    return tuple(f"{name}_{index:06d}" for index, name in enumerate(path.stem for path in paths))
+
+
+def _common_size(paths: Sequence[Path]) -> tuple[int, int]:
+    sizes: dict[tuple[int, int], list[Path]] = {}
+    for path in paths:
+        sizes.setdefault(image_size(path), []).append(path)
+    if len(sizes) == 1:
+        return next(iter(sizes))
+    groups = sorted(sizes.items(), key=lambda item: -len(item[1]))
+    listed = "; ".join(
+        f"{w} x {h}: {len(some)} (such as {some[0]})" for (w, h), some in groups[:LISTED_SIZES]
+    )
+    more = f"; and {len(groups) - LISTED_SIZES} more sizes" if len(groups) > LISTED_SIZES else ""
+    raise SizeMismatch(
+        f"the frames of a clip must have one size, {len(groups)} were found: {listed}{more}; "
+        "crop or resize them"
+    )

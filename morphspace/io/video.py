@@ -1,0 +1,312 @@
+"""Video in and out, frame-exact: every frame is decoded in order, none is sought, dropped or repeated (ours).
+
+Seeking lands on the wrong frame in many real files and the frame count in a header is a guess, so frames are
+always decoded from the start and counted by decoding. Colour follows the file's own flags (BT.601, BT.709,
+BT.2020; limited or full range); a file without a matrix flag is taken as BT.709 from 720 lines on and as
+BT.601 below.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from fractions import Fraction
+from pathlib import Path
+from typing import Any, Literal
+
+import av
+import numpy as np
+from av.video.reformatter import Interpolation
+
+from morphspace.arrays import Image
+from morphspace.errors import BadInput, SizeMismatch, UnreadableFile, UnwritableFile
+from morphspace.io.colour import check_image, codes_of
+from morphspace.io.containers import check_length
+from morphspace.storage import whole_file
+
+Encoding = Literal["people", "lossless"]
+
+PEOPLE_SUFFIXES = (".mp4", ".mov", ".mkv")
+LOSSLESS_SUFFIXES = (".mkv", ".mp4")
+PEOPLE_CRF = 14  # x264's visually lossless region
+ENCODER_THREADS = 4  # a constant: the bytes depend on the number of threads, never on the machine's cores
+RATE_DENOMINATOR = 1001  # holds 30000/1001 and its kin exactly
+HD_HEIGHT = 720  # px; unflagged video at least this high is BT.709, as players assume
+BT601, BT709, BT2020, MPEG_RANGE = 5, 1, 9, 1  # the numbers of ITU-T H.273 as libav uses them
+MATRICES = {1: BT709, 4: 4, 5: BT601, 6: BT601, 7: 7, 9: BT2020, 10: BT2020}  # flag -> matrix swscale knows
+HDR_CURVES = {16: "PQ", 18: "HLG"}
+PRECISE = (
+    Interpolation.BICUBIC
+    | Interpolation.ACCURATE_RND
+    | Interpolation.FULL_CHR_H_INT
+    | Interpolation.FULL_CHR_H_INP
+    | Interpolation.BITEXACT
+)
+
+
+@dataclass(frozen=True, eq=False)
+class VideoInfo:
+    """What a video holds: `frame_count` counted by decoding, `frame_rate_hz` on average, `size` (width,
+    height) px.
+    """
+
+    frame_count: int
+    frame_rate_hz: float
+    size: tuple[int, int]
+
+
+def video_info(path: str | Path) -> VideoInfo:
+    """Decode a video once and describe it. Raises `UnreadableFile` where it is missing, damaged or has no
+    picture.
+    """
+    path = Path(path)
+    count, rate_hz, size = 0, 0.0, (0, 0)
+    for frame, stream_rate_hz in _decoded(path):
+        if count == 0:
+            rate_hz, size = stream_rate_hz, _upright_size(frame)
+        count += 1
+    return VideoInfo(count, rate_hz, size)
+
+
+def read_frames(path: str | Path, indices: Sequence[int] | None = None) -> Iterator[Image]:
+    """Yield frames as (h, w, 3) float32, sRGB-coded in [0, 1]; all of them, or those of `indices` in that
+    order.
+
+    One frame is held at a time. `indices` count from 0 and may repeat; where they fall back the video is
+    decoded again from its start. The rotation that phones store is applied; more than 8 bits a channel are
+    kept.
+
+    Raises `UnreadableFile` (missing, damaged), `BadInput` (an index beyond the end, HDR video) and
+    `SizeMismatch` (the picture changes size on the way).
+    """
+    path = Path(path)
+    if indices is None:
+        yield from (image for _, image in _images(path, None))
+        return
+    wanted = [int(index) for index in indices]
+    if any(index < 0 for index in wanted):
+        raise BadInput(f"{path}: frame {min(wanted)} was asked for, but frames count from 0")
+    for run in _rising_runs(wanted):
+        yield from _images_of_run(path, run)
+
+
+def write_video(
+    path: str | Path,
+    frames: Iterable[Image],
+    *,
+    frame_rate_hz: float = 25.0,
+    encoding: Encoding = "people",
+    told: Mapping[str, str] | None = None,
+) -> int:
+    """Write images as a video, whole or not at all, and give the number of values that were clipped to [0,
+    1].
+
+    `told` are texts for the file's own metadata, under keys the container knows (`comment`, `copyright`).
+
+    `people` is visually lossless H.264 (crf 14, yuv420p, BT.709) that every player shows; an odd width or
+    height is padded by repeating the last column or row. `lossless` keeps the 8-bit codes exactly: FFV1 for
+    `.mkv`, H.264 RGB with crf 0 for `.mp4`. The same images give the same bytes.
+
+    Raises `BadInput` (no frames, suffix, rate, not an image), `SizeMismatch` (frames that differ in size) and
+    `UnwritableFile`. Source: ours.
+    """
+    path = Path(path)
+    suffixes = {"people": PEOPLE_SUFFIXES, "lossless": LOSSLESS_SUFFIXES}.get(encoding)
+    if suffixes is None:
+        raise BadInput(f"encoding '{encoding}' is neither 'people' nor 'lossless'")
+    if path.suffix.lower() not in suffixes:
+        raise BadInput(
+            f"cannot write {path} as {encoding} video: use one of the suffixes {', '.join(suffixes)}"
+        )
+    if not 0 < frame_rate_hz <= 1000:
+        raise BadInput(f"frame rate {frame_rate_hz} Hz is not between 0 and 1000")
+    pending = iter(frames)
+    first = next(pending, None)
+    if first is None:
+        raise BadInput(f"cannot write {path}: there are no frames")
+    clipped = 0
+    try:
+        with whole_file(path) as temporary:
+            every = itertools.chain([first], pending)
+            clipped = _encode(path, temporary, every, first, frame_rate_hz, encoding, told or {})
+    except av.FFmpegError as error:
+        raise UnwritableFile(
+            f"cannot write {path}: {error.strerror}; is the disk full? Nothing was changed"
+        ) from error
+    return clipped
+
+
+def video_texts(path: str | Path) -> dict[str, str]:
+    """Give the texts of a video's own metadata, keys in lower case. Raises `UnreadableFile`."""
+    path = Path(path)
+    try:
+        with av.open(str(path), metadata_errors="replace") as container:
+            return {key.lower(): text for key, text in container.metadata.items()}
+    except (av.FFmpegError, OSError) as error:
+        raise UnreadableFile(f"{path} is not a video: {error.strerror or 'no reason given'}") from error
+
+
+def _decoded(path: Path) -> Iterator[tuple[Any, float]]:
+    """Yield each decoded frame with the stream's mean rate; every way of being damaged becomes
+    `UnreadableFile`.
+    """
+    check_length(path)
+    count = 0
+    try:
+        with av.open(str(path)) as container:
+            if not container.streams.video:
+                raise UnreadableFile(f"{path} has no picture track: give a video or a folder of images")
+            stream = container.streams.video[0]
+            stream.thread_type = "AUTO"
+            stream.codec_context.options = {"err_detect": "explode"}
+            rate = stream.average_rate or stream.guessed_rate or 0
+            for frame in container.decode(stream):
+                if frame.is_corrupt:
+                    raise UnreadableFile(f"{path} is damaged at frame {count}: copy it again")
+                yield frame, float(rate)
+                count += 1
+    except (av.FFmpegError, OSError) as error:
+        reason = error.strerror or "no reason given"
+        raise UnreadableFile(
+            f"{path} is damaged or not a video: {reason} after {count} frames; copy it again"
+        ) from error
+    if count == 0:
+        raise UnreadableFile(f"{path} holds no frames: copy it again")
+
+
+def _images(path: Path, wanted: frozenset[int] | None) -> Iterator[tuple[int, Image]]:
+    size = None
+    for index, (frame, _) in enumerate(_decoded(path)):
+        size = size or (frame.width, frame.height)
+        if (frame.width, frame.height) != size:
+            raise SizeMismatch(
+                f"{path}: frame {index} is {frame.width} x {frame.height}, frame 0 is {size[0]} x {size[1]}: "
+                "convert the video to one size"
+            )
+        if wanted is None or index in wanted:
+            yield index, _image_of(path, frame)
+
+
+def _images_of_run(path: Path, run: Sequence[int]) -> Iterator[Image]:
+    """Yield the frames of a run of indices that never falls, in one pass."""
+    place = 0
+    for index, image in _images(path, frozenset(run)):
+        while place < len(run) and run[place] == index:
+            yield image
+            place += 1
+        if place == len(run):
+            return
+    raise BadInput(f"{path}: frame {run[place]} was asked for, the video ends before it: see its frame count")
+
+
+def _rising_runs(indices: Sequence[int]) -> Iterator[list[int]]:
+    run: list[int] = []
+    for index in indices:
+        if run and index < run[-1]:
+            yield run
+            run = []
+        run.append(index)
+    if run:
+        yield run
+
+
+def _image_of(path: Path, frame: Any) -> Image:
+    """Convert one decoded frame by its own matrix and range flags."""
+    if frame.color_trc in HDR_CURVES:
+        raise BadInput(
+            f"{path} is HDR video ({HDR_CURVES[frame.color_trc]}), its colours are not sRGB: "
+            "export it as standard dynamic range (Rec. 709) first"
+        )
+    is_deep = max(component.bits for component in frame.format.components) > 8
+    matrix = MATRICES.get(frame.colorspace, BT709 if frame.height >= HD_HEIGHT else BT601)
+    codes = frame.to_ndarray(
+        format="rgb48le" if is_deep else "rgb24",
+        src_colorspace=None if frame.format.is_rgb else matrix,
+        src_color_range=frame.color_range or None,
+        interpolation=PRECISE,
+        threads=1,
+    )
+    image = codes.astype(np.float32) / np.float32(65535 if is_deep else 255)
+    return np.ascontiguousarray(np.rot90(image, _quarter_turns(frame)))
+
+
+def _quarter_turns(frame: Any) -> int:
+    """Give how many quarter turns counter-clockwise put the picture upright, from the display matrix."""
+    return int(round(frame.rotation / 90) % 4)
+
+
+def _upright_size(frame: Any) -> tuple[int, int]:
+    size = (int(frame.width), int(frame.height))
+    return (size[1], size[0]) if _quarter_turns(frame) % 2 else size
+
+
+def _encode(
+    path: Path,
+    temporary: Path,
+    frames: Iterable[Image],
+    first: Image,
+    frame_rate_hz: float,
+    encoding: Encoding,
+    told: Mapping[str, str],
+) -> int:
+    rate = Fraction(frame_rate_hz).limit_denominator(RATE_DENOMINATOR)
+    clipped = 0
+    with av.open(str(temporary), "w", options={"fflags": "+bitexact"}) as container:
+        container.metadata.update(told)
+        stream = _add_stream(container, path.suffix.lower(), rate, encoding)
+        for index, image in enumerate(frames):
+            check_image(image, f"{path}, frame {index}")
+            if image.shape != first.shape:
+                raise SizeMismatch(
+                    f"cannot write {path}: frame {index} is {image.shape[1]} x {image.shape[0]}, "
+                    f"frame 0 is {first.shape[1]} x {first.shape[0]}: make them one size"
+                )
+            codes, outside = codes_of(image, 8)
+            clipped += outside
+            if encoding == "people":
+                codes = np.pad(codes, ((0, codes.shape[0] % 2), (0, codes.shape[1] % 2), (0, 0)), mode="edge")
+            if index == 0:
+                stream.height, stream.width = codes.shape[:2]
+            picture = av.VideoFrame.from_ndarray(codes, format="rgb24")
+            if encoding == "people":
+                picture = picture.reformat(
+                    format="yuv420p",
+                    dst_colorspace=BT709,
+                    dst_color_range=MPEG_RANGE,
+                    interpolation=PRECISE,
+                    threads=1,
+                )
+            elif stream.pix_fmt != "rgb24":
+                picture = picture.reformat(format=stream.pix_fmt, threads=1)
+            picture.pts, picture.time_base = index, 1 / rate
+            container.mux(stream.encode(picture))
+        container.mux(stream.encode(None))
+    return clipped
+
+
+def _add_stream(container: Any, suffix: str, rate: Fraction, encoding: Encoding) -> Any:
+    if encoding == "people":
+        stream = container.add_stream("libx264", rate=rate)
+        stream.pix_fmt = "yuv420p"
+        # without macroblock-tree rate control, which with AVX-512 gives other bytes from run to run
+        stream.options = {"crf": str(PEOPLE_CRF), "preset": "medium", "mbtree": "0"}
+        stream.codec_context.colorspace = BT709
+        stream.codec_context.color_primaries = BT709
+        stream.codec_context.color_trc = 1
+        stream.codec_context.color_range = MPEG_RANGE
+    elif suffix == ".mkv":
+        stream = container.add_stream("ffv1", rate=rate)
+        stream.pix_fmt = "bgr0"
+        stream.options = {
+            "level": "3",
+            "slices": "4",
+            "slicecrc": "1",
+        }  # a checksum a slice shows damage on reading
+    else:
+        stream = container.add_stream("libx264rgb", rate=rate)
+        stream.pix_fmt = "rgb24"
+        stream.options = {"crf": "0", "preset": "medium"}
+    stream.codec_context.flags |= av.codec.context.Flags.bitexact
+    stream.codec_context.thread_count = ENCODER_THREADS
+    return stream

@@ -1,0 +1,168 @@
+"""Principal components of serialised faces, in a weighted inner product: Nagle section 2, "PCA of the morphs".
+
+There are far fewer faces (n) than numbers in a face (d), so the eigenvectors come from the n x n Gram matrix (Turk and
+Pentland, Eigenfaces for recognition, 1991). It is summed in float64 over blocks of columns: the data are never in
+memory at once, and small components are not lost to rounding.
+
+The inner product is <a, b> = sum_j weight_j a_j b_j with weight_j >= 0. A column of weight 0 (outside the mask)
+does not decide what the components are, yet each component says how that column goes along.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from morphspace.arrays import AnyArray, LoadingTable, Rows
+from morphspace.errors import BadInput
+from morphspace.linear.rows import ColumnBlocks, column_ranges
+
+RANK_TOL = 1e-10  # of the largest eigenvalue; below it float32 rounding of the offsets is all there is
+ALL = slice(None)
+CONSTANT_TOL = 1e-11  # of the data's own energy; frames that agree to float32 have no component at all
+
+
+@dataclass(frozen=True, eq=False)
+class Basis:
+    """Components (k, d) float32, orthonormal in the weighted inner product, and the variance (k,) along each.
+
+    `weight` (d,) float32 is the inner product. `discarded_variance` is the mean variance of the directions left out,
+    per dimension: the sigma^2 of probabilistic PCA (Tipping and Bishop 1999, equation 8).
+    """
+
+    components: Rows
+    variances: AnyArray
+    weight: AnyArray
+    discarded_variance: float
+
+    def __post_init__(self) -> None:
+        if self.components.shape != (len(self.variances), len(self.weight)):
+            raise BadInput(
+                f"components of shape {self.components.shape} do not fit {len(self.variances)} variances "
+                f"and {len(self.weight)} weights"
+            )
+
+    @property
+    def rank(self) -> int:
+        """The number of components, k."""
+        return len(self.variances)
+
+    def project(self, offsets: AnyArray) -> LoadingTable:
+        """Give the loadings of mean-relative vectors (..., d): inner products with each component, (..., k)."""
+        return np.asarray((offsets * self.weight) @ self.components.T, np.float64)
+
+    def expand(self, loadings: AnyArray, columns: slice = ALL) -> AnyArray:
+        """Give the mean-relative vectors (..., d) float32 of loadings (..., k): Nagle's R = P l.
+
+        Or only these of their `columns`.
+        """
+        return np.asarray(np.asarray(loadings, np.float32) @ self.components[:, columns])
+
+    def truncate(self, components: int) -> Basis:
+        """Keep the first `components`; the variance of the others is added to what is discarded."""
+        if not 0 <= components <= self.rank:
+            raise BadInput(f"cannot keep {components} components of {self.rank}: choose 0 to {self.rank}")
+        effective = max(1, int((self.weight > 0).sum()) - components)
+        left_out = (
+            self.discarded_variance * max(1, effective + components - self.rank)
+            + self.variances[components:].sum()
+        )
+        return Basis(
+            self.components[:components],
+            self.variances[:components],
+            self.weight,
+            float(left_out / effective),
+        )
+
+
+def mean_row(rows: ColumnBlocks) -> AnyArray:
+    """Give the mean of the rows, (d,) float32, summed in float64."""
+    n, d = rows.shape
+    mean = np.empty(d, np.float32)
+    for start, stop in column_ranges(n, 0, d):
+        mean[start:stop] = rows.columns(start, stop).mean(axis=0, dtype=np.float64)
+    return mean
+
+
+def gram_matrix(rows: ColumnBlocks, mean: AnyArray, weight: AnyArray, start: int, stop: int) -> AnyArray:
+    """Give the inner products of all mean-relative rows over columns start:stop, (n, n) float64."""
+    from scipy.linalg.blas import dsyrk  # here, because only a build needs it and it is slow to import
+
+    n = rows.shape[0]
+    lower = np.zeros((n, n), order="F")
+    for first, last in column_ranges(n, start, stop):
+        scale = np.sqrt(weight[first:last], dtype=np.float64)
+        if not scale.any():
+            continue
+        block = rows.columns(first, last).astype(np.float64)
+        block -= mean[first:last]
+        block *= scale
+        lower = dsyrk(1.0, block.T, beta=1.0, c=lower, trans=1, lower=1, overwrite_c=1)
+    upper = np.triu_indices(n, 1)
+    lower[upper] = lower.T[upper]
+    return lower
+
+
+def principal_axes(gram: AnyArray, components: int, energy: float) -> tuple[AnyArray, AnyArray]:
+    """Diagonalise a Gram matrix (n, n), which is overwritten: what weighted sums of the rows are the components.
+
+    Returns coefficients (k, n) with components = coefficients @ offsets, and eigenvalues (k,) from the largest down. k
+    is at most `components`, n - 1 and the numerical rank; `energy` is the data's own mean square in the inner product,
+    against which "no variation at all" is judged. Each sign is chosen so that the training face furthest along the
+    component lies on its positive side.
+    """
+    from scipy.linalg import eigh
+
+    n = len(gram)
+    wanted = min(components, n - 1)
+    if wanted < 1:
+        return np.zeros((0, n)), np.zeros(0)
+    eigenvalues, vectors = eigh(
+        gram, subset_by_index=(n - wanted, n - 1), overwrite_a=True, check_finite=False
+    )
+    eigenvalues, vectors = np.maximum(eigenvalues[::-1], 0), vectors[:, ::-1]
+    floor = max(RANK_TOL * eigenvalues[0], CONSTANT_TOL * energy)
+    k = int((eigenvalues > floor).sum())
+    vectors = vectors[:, :k]
+    furthest = np.abs(vectors).argmax(axis=0)
+    vectors = vectors * np.where(vectors[furthest, np.arange(k)] < 0, -1.0, 1.0)
+    return (vectors / np.sqrt(eigenvalues[:k])).T, eigenvalues[:k]
+
+
+def combine_rows(rows: ColumnBlocks, coefficients: AnyArray, mean: AnyArray, out: AnyArray) -> None:
+    """Write coefficients (k, n) @ (rows - mean) into `out` (k, d) float32, block by block."""
+    n, d = rows.shape
+    total = coefficients.sum(axis=1)
+    for start, stop in column_ranges(n + len(coefficients), 0, d):
+        block = coefficients @ rows.columns(start, stop).astype(np.float64)
+        out[:, start:stop] = block - total[:, None] * mean[start:stop]
+
+
+def basis_from_gram(
+    rows: ColumnBlocks, mean: AnyArray, weight: AnyArray, gram: AnyArray, components: int
+) -> tuple[Basis, LoadingTable]:
+    """Give the basis of the mean-relative rows and their loadings (n, k), from their Gram matrix, which is used up."""
+    n, d = rows.shape
+    energy = float((np.square(mean, dtype=np.float64) * weight).sum())
+    total = float(np.trace(gram))
+    coefficients, eigenvalues = principal_axes(gram, components, energy)
+    k = len(eigenvalues)
+    out = np.empty((k, d), np.float32)
+    combine_rows(rows, coefficients, mean, out)
+    dimensions = max(1, int((weight > 0).sum()) - k)
+    discarded = max(0.0, total - float(eigenvalues.sum())) / max(n - 1, 1) / dimensions
+    loadings = (coefficients * eigenvalues[:, None]).T
+    return Basis(out, eigenvalues / max(n - 1, 1), weight, discarded), loadings
+
+
+def fit_basis(rows: ColumnBlocks, weight: AnyArray, components: int) -> tuple[AnyArray, Basis, LoadingTable]:
+    """Fit a PCA: the mean (d,), the basis, and the loadings (n, k) of the rows themselves.
+
+    Parameters: rows (n, d), n >= 2; weight (d,) >= 0, the inner product; components, the most to keep. Constant data
+    give rank 0.
+    """
+    mean = mean_row(rows)
+    gram = gram_matrix(rows, mean, weight, 0, rows.shape[1])
+    basis, loadings = basis_from_gram(rows, mean, weight, gram, components)
+    return mean, basis, loadings

@@ -1,0 +1,173 @@
+"""Fit loadings to an image by what the model would draw: Gauss-Newton on the rendering error.
+
+Projecting a face on the components minimises an error in texture and warp together; what a viewer sees is the error of
+the picture. Starting from the projection, a few Gauss-Newton steps minimise just that. This is the fitting of active
+appearance models (Matthews and Baker, Active appearance models revisited, IJCV 2004, section 2), done on the mean
+face's grid, where the components need no resampling, and weighted by the area each point takes in the picture.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
+
+import cv2
+import numpy as np
+
+from morphspace.arrays import AnyArray, Displacement, Image, LoadingVector, Mask
+from morphspace.grid import warp
+from morphspace.linear.pca import Basis
+
+STEPS = 12  # at most; most faces stand still after three or four
+STILL = 1e-3  # a step that lowers the sum by less than this share is the last
+NOISE_VARIANCE = 1e-5  # colour^2; how strongly the prior holds; 1e-7 to 1e-4 gave the same faces on two clips
+AREA_RANGE = (0.05, 4.0)  # a point's area in the picture, limited so that folds do not count negative
+SPARED = 4  # one pixel of so many is asked how the loadings work together; all are asked where the error lies
+BLOCK_PIXELS = 2048  # a block of the Jacobian stays in the second cache
+SCHARR_SUM = 32.0  # makes the Scharr kernel a derivative per px
+
+
+@dataclass(frozen=True, eq=False)
+class Fit:
+    """Loadings (k,) and the error before and after: root mean square colour difference inside the mask."""
+
+    loadings: LoadingVector
+    start_error: float
+    error: float
+
+
+def fit_loadings(
+    image: Image, mean: AnyArray, basis: Basis, mask: Mask, start: LoadingVector, *, steps: int = STEPS
+) -> Fit:
+    """Refine loadings once; see `Fitter`, which does so for many images."""
+    return Fitter(mean, basis, mask).fit(image, start, steps=steps)
+
+
+@dataclass(frozen=True, eq=False)
+class _State:
+    """The model at some loadings: displacement (h, w, 2), residual (m, 3), weight (m,), cost and error."""
+
+    displacement: Displacement
+    residual: AnyArray
+    weight: AnyArray
+    cost: float
+    error: float
+
+
+@dataclass(frozen=True, eq=False)
+class Fitter:
+    """Refines loadings so that the rendered face comes closest to an aligned image inside the mask.
+
+    `mean` (5 h w,) and `basis` (k, 5 h w) are in the order of `morph.vector_of`; `mask` (h, w). The components of the
+    m pixels inside it are copied once.
+    """
+
+    mean: AnyArray
+    basis: Basis
+    mask: Mask
+
+    def fit(self, image: Image, start: LoadingVector, *, steps: int = STEPS) -> Fit:
+        """Minimise sum_p A(p) mask(p) |I(p + u(p)) - T(p)|^2 + noise * sum_j l_j^2 / variance_j.
+
+        A is the area of p in the picture; image (h, w, 3); start (k,) loadings, usually the projection. How the
+        loadings work together is taken from a part of the pixels: that decides how many steps are wanted, not where
+        they lead. A step that does not lower the sum is halved. Returns the best loadings met, so
+        the sum is never larger than at the start.
+        """
+        best = np.array(start, np.float64)
+        read = warp.spline_reader([image[..., channel] for channel in range(3)])
+        state = self._at(best, read)
+        start_state = state
+        slopes = [cv2.Scharr(image, cv2.CV_32F, *axes) / np.float32(SCHARR_SUM) for axes in ((1, 0), (0, 1))]
+        for _ in range(steps if self.basis.rank else 0):
+            along = self._along(slopes, state)
+            step = np.linalg.solve(self._normal(along, state), self._downhill(best, along, state))
+            for shrink in (1.0, 0.5, 0.25):
+                trial = self._at(best + shrink * step, read)
+                if trial.cost < state.cost:
+                    break
+            else:
+                break
+            is_last = trial.cost > (1 - STILL) * state.cost
+            best, state = best + shrink * step, trial
+            if is_last:
+                break
+        return Fit(best, start_state.error, state.error)
+
+    @cached_property
+    def _inside(self) -> AnyArray:
+        return np.flatnonzero(self.mask > 0)
+
+    @cached_property
+    def _textures(self) -> AnyArray:
+        """The components' textures inside the mask, (k, 3 m), colour by colour."""
+        return self._of_inside(slice(0, 3 * self.mask.size), 3)
+
+    @cached_property
+    def _displacements(self) -> AnyArray:
+        """The components' displacements inside the mask, (k, 2 m), right and then down."""
+        return self._of_inside(slice(3 * self.mask.size, None), 2)
+
+    def _of_inside(self, part: slice, channels: int) -> AnyArray:
+        planes = self.basis.components[:, part].reshape(self.basis.rank, self.mask.size, channels)
+        inside = np.ascontiguousarray(planes[:, self._inside].transpose(0, 2, 1))
+        return inside.reshape(self.basis.rank, channels * len(self._inside))
+
+    @cached_property
+    def _precision(self) -> AnyArray:
+        return NOISE_VARIANCE / np.maximum(self.basis.variances, np.finfo(np.float64).tiny)
+
+    def _planes(self, picture: AnyArray) -> AnyArray:
+        """Give the pixels inside the mask of a picture (h, w, c), (c, m)."""
+        return np.ascontiguousarray(picture.reshape(self.mask.size, -1)[self._inside].T)
+
+    def _at(self, loadings: LoadingVector, read: Callable[[AnyArray, AnyArray], AnyArray]) -> _State:
+        colours = 3 * self.mask.size
+        moved = self.mean[colours:] + self.basis.expand(loadings, slice(colours, None))
+        displacement = moved.reshape(*self.mask.shape, 2)
+        residual = read(*warp.positions(displacement)).reshape(3, -1)[:, self._inside]
+        residual -= self._mean_texture
+        residual -= (np.asarray(loadings, np.float32) @ self._textures).reshape(3, -1)
+        area = cv2.copyMakeBorder(warp.determinants(displacement), 0, 1, 0, 1, cv2.BORDER_REPLICATE)
+        weight = (self.mask * np.clip(area, *AREA_RANGE)).reshape(-1)[self._inside]
+        square = float((weight * residual * residual).sum(dtype=np.float64))
+        cost = square + float((self._precision * loadings * loadings).sum())
+        total = max(float(weight.sum(dtype=np.float64)), 1.0)
+        return _State(displacement, residual, weight, cost, float(np.sqrt(square / total / 3)))
+
+    @cached_property
+    def _mean_texture(self) -> AnyArray:
+        return self._planes(self.mean[: 3 * self.mask.size].reshape(*self.mask.shape, 3))
+
+    def _along(self, slopes: list[AnyArray], state: _State) -> tuple[AnyArray, AnyArray]:
+        """Give the picture's slopes to the right and down where the face lies, (3, m) each."""
+        right, down = (self._planes(warp.sample_field(slope, state.displacement)) for slope in slopes)
+        return right, down
+
+    def _downhill(
+        self, loadings: LoadingVector, along: tuple[AnyArray, AnyArray], state: _State
+    ) -> LoadingVector:
+        """Give half the slope of the sum, turned round, (k,): d residual / d l_j = grad I . u_j - T_j."""
+        weighed = state.weight * state.residual
+        by_moving = np.concatenate([(weighed * slope).sum(axis=0) for slope in along])
+        told = self._textures @ weighed.reshape(-1) - self._displacements @ by_moving
+        return np.asarray(told, np.float64) - self._precision * loadings
+
+    def _normal(self, along: tuple[AnyArray, AnyArray], state: _State) -> AnyArray:
+        """Give half the curvature of the sum, (k, k), from one pixel of `SPARED`."""
+        rank, count = self.basis.rank, len(self._inside)
+        textures = self._textures.reshape(rank, 3, count)[:, :, ::SPARED]
+        displacements = self._displacements.reshape(rank, 2, count)[:, :, ::SPARED]
+        right, down = (slope[:, ::SPARED] for slope in along)
+        root = np.sqrt(SPARED * state.weight[::SPARED])
+        normal = np.diag(self._precision)
+        for start in range(0, textures.shape[2], BLOCK_PIXELS):
+            block = slice(start, start + BLOCK_PIXELS)
+            for channel in range(3):
+                jacobian = displacements[:, 0, block] * right[channel, block]
+                jacobian += displacements[:, 1, block] * down[channel, block]
+                np.subtract(textures[:, channel, block], jacobian, out=jacobian)
+                jacobian *= root[block]
+                normal += jacobian @ jacobian.T
+        return normal

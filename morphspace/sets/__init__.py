@@ -1,0 +1,1 @@
+"""A folder of stimuli: planned, drawn, completed, replayed, and protected from being overwritten."""

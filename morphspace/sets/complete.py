@@ -1,0 +1,272 @@
+"""What a folder of stimuli gets once they are all drawn: manifest, tables of loadings, page and record."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from morphspace.arrays import AnyArray, Image
+from morphspace.io.images import read_image
+from morphspace.io.tables import write_loadings_table, write_metrics_table
+from morphspace.outcome import RECORD_NAME, Outcome, versions, write_record_of
+from morphspace.report.figures import small
+from morphspace.report.set_page import CLIPPED_PERCENT, FOLDED_PERCENT, SetShown, places_shown, set_page
+from morphspace.sets.manifest import Column, write_manifest
+from morphspace.stimuli.drawing import PICTURE_SUFFIXES, VIDEO_SUFFIXES, Drawing
+from morphspace.stimuli.image_statistics import FIGURES, SPACES
+from morphspace.storage import digest_of_file, write_text
+
+if TYPE_CHECKING:
+    from morphspace.sets.planned import PlannedSet
+
+PAGE_NAME = "index.html"
+OUTLIER_Z = 3.5  # of the modified z-score (Iglewicz and Hoaglin 1993)
+LEAST_FOR_OUTLIERS = 8  # stimuli; of fewer, none can be said to stand out
+NORMAL_MAD = 0.6745  # the median absolute deviation of a normal distribution, in its sd
+LEAST_SPREAD = 0.005  # of a statistic's median: three and a half times that is what an eye can just see
+LOADINGS_KINDS = ("loadings", "colour_loadings")  # where colours are drawn of others than the warp
+
+
+def complete_set(
+    folder: Path,
+    sets: Sequence[PlannedSet],
+    rows: Sequence[Mapping[str, Any]],
+    verb: str,
+    request: Mapping[str, Any],
+) -> Outcome:
+    """Write manifest, loadings, page and record of a folder whose stimuli are all made, and sum the set up.
+
+    Parameters: `sets`, what was planned, in order; `rows`, what `make_stimulus` gave for each of their drawings, in the
+    same order; `verb` and `request` of the whole. Returns an `Outcome`.
+    """
+    rows = flagged(rows)
+    columns: dict[str, Column] = {}
+    for planned in sets:
+        columns |= planned.told_columns()
+    document = {
+        "name": f"Stimuli of morphspace {verb}",
+        "description": f"{len(rows)} stimuli; one row a stimulus, its sidecar beside it says how it was made",
+        "verb": verb,
+    }
+    written = [*write_manifest(folder, rows, columns, document)]
+    written += _write_loadings(folder, sets)
+    for planned in sets:
+        for name, table in planned.tables.items():
+            write_metrics_table(folder / name, table)
+            written.append(folder / name)
+    notes = list(dict.fromkeys(note for planned in sets for note in planned.notes)) + list(notes_on(rows))
+    written.append(_write_page(folder, verb, rows, request, notes, list(columns)))
+    inputs = {name: digest for planned in sets for name, digest in planned.inputs.items()}
+    made = {str(row["file"]): str(row["sha256"]) for row in rows}
+    made |= {f"{row['name']}.json": str(row["sidecar_sha256"]) for row in rows}
+    record = _write_record(folder, verb, request, inputs, made, written)
+    totals = {kind: len(found) for kind, found in to_look_at(rows).items()}
+    told = {
+        "output": str(folder),
+        "stimuli": len(rows),
+        "frames": sum(row["frames"] for row in rows),
+        **totals,
+    }
+    what = "stimulus" if len(rows) == 1 else "stimuli"
+    identities = list(dict.fromkeys(planned.model.identity for planned in sets))
+    shown = ", ".join(identities[:3]) + (f" and {len(identities) - 3} more" if len(identities) > 3 else "")
+    lines = (f"{folder}: {len(rows)} {what} of {shown}; {folder / PAGE_NAME} shows them",)
+    stimuli = tuple(folder / name for name in made)
+    return Outcome(lines, told, (*notes, *_others(folder, made)), (*stimuli, *written, record))
+
+
+def _others(folder: Path, made: Mapping[str, str]) -> tuple[str, ...]:
+    """Say where stimuli of another set lie in the folder: the manifest does not list them."""
+    kinds = (*PICTURE_SUFFIXES, *VIDEO_SUFFIXES)
+    here = (
+        path
+        for path in sorted(folder.rglob("*"))
+        if path.suffix in kinds and path.with_suffix(".json").is_file()
+    )
+    others = [path.relative_to(folder).as_posix() for path in here]
+    others = [name for name in others if name not in made]
+    if not others:
+        return ()
+    what = "a stimulus" if len(others) == 1 else f"{len(others)} stimuli"
+    return (
+        f"{folder} also holds {what} of another set, such as {others[0]}, which the manifest does not list",
+    )
+
+
+def flagged(rows: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
+    """Give the rows with `outlier_in`: the image statistics in which a stimulus stands out from its set."""
+    names = [f"{space}_{figure}" for space in SPACES for figure in FIGURES]
+    found: list[list[str]] = [[] for _ in rows]
+    for name in names:
+        values = np.array([np.nan if row.get(name) is None else row[name] for row in rows], np.float64)
+        for place in np.flatnonzero(_stands_out(values)):
+            found[place].append(name)
+    return [{**row, "outlier_in": " ".join(out)} for row, out in zip(rows, found, strict=True)]
+
+
+def _stands_out(values: AnyArray) -> AnyArray:
+    """Tell which values lie further from the median than the modified z-score allows, (n,) bool."""
+    known = np.isfinite(values)
+    if known.sum() < LEAST_FOR_OUTLIERS:
+        return np.zeros(len(values), bool)
+    median = np.median(values[known])
+    spread = np.median(np.abs(values[known] - median)) / NORMAL_MAD
+    spread = max(float(spread), LEAST_SPREAD * abs(float(median)), 1e-12)
+    with np.errstate(invalid="ignore"):
+        return np.asarray(np.abs(values - median) > OUTLIER_Z * spread)
+
+
+def to_look_at(rows: Sequence[Mapping[str, Any]]) -> dict[str, list[Mapping[str, Any]]]:
+    """Give the rows of stimuli that are clipped, fold, lie beyond what is plausible, or stand out of their set."""
+    return {
+        "clipped": [row for row in rows if row["clipped_percent"] > CLIPPED_PERCENT],
+        "folded": [row for row in rows if row["folded_percent"] > FOLDED_PERCENT],
+        "beyond": [row for row in rows if row["beyond"]],
+        "outliers": [row for row in rows if row["outlier_in"]],
+    }
+
+
+def _advice(row: Mapping[str, Any]) -> str | None:
+    """Give what brings a stimulus nearer to the mean face by the verb that made it, None where nothing does."""
+    advice = {"sweep": "use fewer SD", "grid": "use fewer SD", "sample": "lower the spread or --max-sd"}
+    verb = row.get("verb")
+    return advice.get(str(verb), None if verb in ("continuum", "trajectory") else "lower the gain")
+
+
+def notes_on(rows: Sequence[Mapping[str, Any]]) -> tuple[str, ...]:
+    """Say what a reader of the set should know: clipped colours, folds, faces beyond the plausible, outliers."""
+    notes = []
+    clipped, folded, beyond, outliers = to_look_at(rows).values()
+    if clipped:
+        worst = max(clipped, key=lambda row: float(row["clipped_percent"]))
+        notes.append(
+            f"in {len(clipped)} of {len(rows)} stimuli colour values were clipped, most in {worst['name']} "
+            f"({worst['clipped_percent']:.2g} %): {_advice(worst) or 'look at them'}"
+        )
+    if folded:
+        worst = max(folded, key=lambda row: float(row["folded_percent"]))
+        notes.append(
+            f"in {len(folded)} of {len(rows)} stimuli the face folds over itself, most in {worst['name']} "
+            f"({worst['folded_percent']:.2g} % of it): {', or '.join(filter(None, ('look at them', _advice(worst))))}"
+        )
+    if beyond:
+        worst = max(beyond, key=lambda row: float(row["largest_sd"]))
+        notes.append(
+            f"{len(beyond)} of {len(rows)} stimuli lie beyond 3 SD and beyond every training face, furthest "
+            f"{worst['name']} ({worst['largest_sd']:.1f} SD in pc{worst['largest_component']:03d}): look at them; the "
+            "manifest marks them"
+        )
+    if outliers:
+        notes.append(
+            f"{len(outliers)} of {len(rows)} stimuli stand out in their image statistics, such as "
+            f"{outliers[0]['name']} ({outliers[0]['outlier_in'].split()[0]}): the manifest marks them"
+        )
+    return tuple(notes)
+
+
+def loadings_tables(sets: Sequence[PlannedSet]) -> list[str]:
+    """Give the names of the files that may be written for the loadings of all stimuli, a table a model."""
+    endings = _by_ending(sets)
+    return [
+        f"{kind}{ending}{suffix}"
+        for ending in endings
+        for kind in LOADINGS_KINDS
+        for suffix in (".csv", ".json")
+    ]
+
+
+def _by_ending(sets: Sequence[PlannedSet]) -> dict[str, list[PlannedSet]]:
+    """Give the sets of each model, by what its table's name ends in."""
+    by_model: dict[str, list[PlannedSet]] = {}
+    for planned in sets:
+        by_model.setdefault(planned.model.model_id, []).append(planned)
+    return {"" if len(by_model) == 1 else f"_{model_id}": group for model_id, group in by_model.items()}
+
+
+def _write_loadings(folder: Path, sets: Sequence[PlannedSet]) -> list[Path]:
+    """Write the loadings of all stimuli, a table a model."""
+    written: list[Path] = []
+    for ending, group in _by_ending(sets).items():
+        drawings = [drawing for planned in group for drawing in planned.drawings]
+        first = group[0]
+        rates = {drawing.frame_rate_hz for drawing in drawings}
+        document = {
+            "model_id": first.model.model_id,
+            "model_sha256": first.model_sha256,
+            "identity": first.model.identity,
+            "consent": first.model.provenance.get("consent"),
+            "licence": first.model.provenance.get("licence"),
+            "frame_rate_hz": rates.pop() if len(rates) == 1 else None,
+            "versions": versions(),
+        }
+        names = [name for drawing in drawings for name in frame_names(drawing)]
+        plain, coloured = LOADINGS_KINDS
+        kinds = [(plain, [drawing.loadings_sd for drawing in drawings])]
+        if any(drawing.colour_sd is not None for drawing in drawings):
+            colours = [one.loadings_sd if one.colour_sd is None else one.colour_sd for one in drawings]
+            kinds.append((coloured, colours))
+        for kind, tables in kinds:
+            path = folder / f"{kind}{ending}.csv"
+            write_loadings_table(path, _stacked(tables), names, document)
+            written += [path, path.with_suffix(".json")]
+    return written
+
+
+def _stacked(tables: Sequence[AnyArray]) -> AnyArray:
+    """Put tables one under the other; fewer components are the first ones, the rest is 0."""
+    width = max(table.shape[1] for table in tables)
+    return np.concatenate([np.pad(table, ((0, 0), (0, width - table.shape[1]))) for table in tables])
+
+
+def frame_names(drawing: Drawing) -> tuple[str, ...]:
+    """Give the names of a stimulus' frames in the table of loadings: its own, and for a video the frame from 0."""
+    count = len(drawing.loadings_sd)
+    if drawing.frame_rate_hz is None:
+        return (drawing.name,)
+    digits = max(4, len(str(count - 1)))
+    return tuple(f"{drawing.name}_{row:0{digits}d}" for row in range(count))
+
+
+def _write_page(
+    folder: Path,
+    verb: str,
+    rows: Sequence[Mapping[str, Any]],
+    request: Mapping[str, Any],
+    notes: Sequence[str],
+    told: Sequence[str],
+) -> Path:
+    """Write index.html: contact sheet, statistics, what stands out."""
+    thumbnails = {
+        place: _middle(folder / str(rows[place]["file"]), rows[place]) for place in places_shown(len(rows))
+    }
+    settings = {name: json.dumps(value, ensure_ascii=False) for name, value in request.items()}
+    shown = SetShown(f"Stimuli: {verb}", rows, thumbnails, notes, settings, told)
+    path = folder / PAGE_NAME
+    write_text(path, set_page(shown))
+    return path
+
+
+def _middle(path: Path, row: Mapping[str, Any]) -> Image:
+    """Give the picture, or of a video the middle frame, small (h, w, 3)."""
+    if row["frame_rate_hz"] is None:
+        return small(read_image(path))
+    from morphspace.io.video import read_frames  # loads libav, which stills do not need
+
+    return small(next(read_frames(path, [int(row["frames"]) // 2])))
+
+
+def _write_record(
+    folder: Path,
+    verb: str,
+    settings: Mapping[str, Any],
+    inputs: Mapping[str, str],
+    made: Mapping[str, str],
+    written: Sequence[Path],
+) -> Path:
+    """Write the record; the digests of stimuli are known, those of the set's own files are taken."""
+    outputs = {path.relative_to(folder).as_posix(): digest_of_file(path) for path in written}
+    return write_record_of(folder / RECORD_NAME, verb, settings, inputs, {**made, **outputs})

@@ -1,0 +1,256 @@
+"""One stimulus: the picture or video of a drawing, and the sidecar that says how to make it again.
+
+What is done already is left as it is: the sidecar carries the digest of everything the stimulus was made from, and of
+the picture itself. The picture is written first, so a sidecar means that its stimulus is whole.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+from typing import Any, Literal
+
+from morphspace.arrays import AnyArray, Image
+from morphspace.errors import BadInput, UnreadableFile
+from morphspace.grid import warp
+from morphspace.io.clips import Clip, open_clip
+from morphspace.io.colour import check_image, codes_of
+from morphspace.io.png import png_with_texts
+from morphspace.io.stimulus_sidecars import file_texts, read_stimulus_sidecar, sidecar_text
+from morphspace.model.model import MorphModel
+from morphspace.requests import told_path
+from morphspace.steps import single_threads
+from morphspace.stimuli.drawing import Drawing
+from morphspace.stimuli.drawn import morphs_and_images
+from morphspace.stimuli.image_statistics import image_statistics
+from morphspace.stimuli.plausibility import plausibility, plausible_limits_sd
+from morphspace.storage import digest_of_bytes, digest_of_file, digest_of_json, whole_file, write_text
+
+PERCENT_DIGITS = 6
+DECIDING = (  # entries of a sidecar; with the drawing, what a stimulus is made from
+    *("format", "version", "verb", "request", "model", "inputs", "units", "consent", "licence", "versions"),
+)
+
+
+@dataclass(frozen=True, eq=False)
+class Drawn:
+    """What came of drawing a stimulus into a file: frames, size (w, h) px, values clipped, share folded, statistics."""
+
+    frames: int
+    size: tuple[int, int]
+    clipped_values: int
+    folded_share: float
+    statistics: Mapping[str, Mapping[str, float | None]]
+
+
+def make_stimulus(
+    model: MorphModel,
+    drawing: Drawing,
+    head: Mapping[str, Any],
+    folder: Path,
+    workers: int = 1,
+    files: tuple[Path, Path] | None = None,
+) -> dict[str, Any]:
+    """Make a stimulus and its sidecar in a set's folder, or keep it where it is made already; give its manifest row.
+
+    Parameters: `head` as `PlannedSet.sidecar_head` gives it; `workers`, how many frames of a video to draw at a time;
+    `files`, stimulus and sidecar where they are not called as in a set.
+    The same model, drawing and head give the same bytes. Raises `UnwritableFile`, and what drawing raises.
+    """
+    path, sidecar = files or (folder / drawing.file_name, folder / f"{drawing.name}.json")
+    told = {key: value for key, value in head.items() if key != "request_sha256"}
+    told |= {"inputs": _inputs_of(drawing, head["inputs"]), "drawing": _told(drawing)}
+    told["made_from_sha256"] = made_from_of(told)
+    kept = _kept(path, sidecar, drawing, told["made_from_sha256"])
+    if kept is not None:
+        return kept
+    with single_threads():
+        drawn = draw_file(model, drawing, head, path, workers)
+    told["statistics"] = drawn.statistics
+    told["quality"] = quality_of(model, drawing, drawn)
+    told["output"] = {
+        "file": path.name,
+        "sha256": digest_of_file(path),
+        "bytes": path.stat().st_size,
+        "frames": drawn.frames,
+        "frame_rate_hz": drawing.frame_rate_hz,
+        "size": list(drawn.size),
+    }
+    text = sidecar_text(told)
+    write_text(sidecar, text)
+    return _row(drawing, told, digest_of_bytes(text.encode()))
+
+
+def made_from_of(told: Mapping[str, Any]) -> str:
+    """Give the digest of all entries of a sidecar that decide the stimulus' bytes; it can be taken of the sidecar."""
+    head = {key: told.get(key) for key in DECIDING}
+    head["request_sha256"] = digest_of_json(head["request"])
+    drawing = digest_of_bytes(sidecar_text(told["drawing"]).encode())
+    return digest_of_json([digest_of_json(head), drawing])
+
+
+def _inputs_of(drawing: Drawing, inputs: Mapping[str, str]) -> dict[str, str]:
+    """Give the inputs of one stimulus: of a clip only the frame it shows, where that is one; of a long clip the rest
+    would be most of each sidecar, and the set's record has them all.
+    """
+    own = {f"clip/{drawing.told[key]}" for key in ("frame", "original") if key in drawing.told} & set(inputs)
+    return {
+        name: digest
+        for name, digest in inputs.items()
+        if not own or name in own or not name.startswith("clip/")
+    }
+
+
+def _told(drawing: Drawing) -> dict[str, Any]:
+    """Give the drawing as its sidecar tells it: a clip's place on somebody's disk is not told."""
+    document = drawing.document()
+    if drawing.placing is not None:
+        words = [told_path(Path(source)) for source in drawing.placing.sources]
+        document["placing"] = {**document["placing"], "sources": words}
+    return document
+
+
+def draw_file(
+    model: MorphModel, drawing: Drawing, head: Mapping[str, Any], path: Path, workers: int = 1
+) -> Drawn:
+    """Draw a stimulus into the file `path`, with the essentials of `head` inside, and measure it."""
+    folded = [0.0]
+
+    def images() -> Iterator[Image]:
+        for morph, image in morphs_and_images(model, drawing, originals_of(drawing), workers):
+            folded[0] = max(folded[0], warp.fold_fraction(morph.displacement, model.mask))
+            yield image
+
+    texts = file_texts(head, drawing.told, drawing.suffix)
+    if drawing.frame_rate_hz is None:
+        image = next(iter(images()))
+        check_image(image, str(path))
+        codes, clipped = codes_of(image, 8)
+        content = png_with_texts(codes, texts)
+        with whole_file(path) as temporary:
+            temporary.write_bytes(content)
+        return Drawn(1, (codes.shape[1], codes.shape[0]), clipped, folded[0], image_statistics([codes]))
+    from morphspace.io.video import write_video  # loads libav, which stills do not need
+
+    encoding: Literal["lossless", "people"] = "lossless" if drawing.suffix == ".mkv" else "people"
+    rate = drawing.frame_rate_hz
+    clipped = write_video(path, images(), frame_rate_hz=rate, encoding=encoding, told=texts)
+    shown = _Shown(path)
+    statistics = image_statistics(shown.codes())
+    return Drawn(len(drawing.loadings_sd), shown.size, clipped, folded[0], statistics)
+
+
+class _Shown:
+    """A video as a viewer sees it: read back, since an encoder for people changes the pixels."""
+
+    def __init__(self, path: Path) -> None:
+        self.path, self.size = path, (0, 0)
+
+    def codes(self) -> Iterator[AnyArray]:
+        """Give the frames as 8-bit codes (h, w, 3)."""
+        from morphspace.io.video import read_frames
+
+        for image in read_frames(self.path):
+            self.size = image.shape[1], image.shape[0]
+            yield codes_of(image, 8)[0]
+
+
+def originals_of(drawing: Drawing) -> Iterator[Image] | None:
+    """Give the pictures a drawing goes back into, one a frame, or None where it stands alone.
+
+    Raises `BadInput` where one is not in its clip any more, or is not the picture it was.
+    """
+    if drawing.placing is None:
+        return None
+    clip = _opened(drawing.placing.sources)
+    places = []
+    for name in drawing.placing.names:
+        if name not in clip.frame_names:
+            raise BadInput(f"{drawing.name} goes back into frame {name} of {clip.name}, which is not there")
+        places.append(clip.frame_names.index(name))
+    for name, digest, found in zip(
+        drawing.placing.names, drawing.placing.digests, clip.subset(places).digests(), strict=True
+    ):
+        if found != digest:
+            raise BadInput(
+                f"{drawing.name} goes back into frame {name} of {clip.name}, which is another picture than it was: "
+                f"{found[:16]}, recorded is {digest[:16]}"
+            )
+    return clip.images(places)
+
+
+@lru_cache(maxsize=4)
+def _opened(sources: tuple[str, ...]) -> Clip:
+    """Open a clip once for all stimuli that go back into it; its pictures are checked each time."""
+    return open_clip(sources)
+
+
+def _kept(path: Path, sidecar: Path, drawing: Drawing, made_from: str) -> dict[str, Any] | None:
+    """Give the manifest's row of a stimulus that is made already and whole; else None."""
+    if not (sidecar.exists() and path.exists()):
+        return None
+    try:
+        document = read_stimulus_sidecar(sidecar)
+        recorded, sha256 = document["made_from_sha256"], document["output"].get("sha256")
+        if made_from != recorded or made_from_of(document) != made_from or sha256 != digest_of_file(path):
+            return None
+        return _row(drawing, document, digest_of_file(sidecar))
+    except (UnreadableFile, BadInput, KeyError, IndexError, TypeError, AttributeError, ValueError):
+        return None  # cut short or damaged
+
+
+def quality_of(model: MorphModel, drawing: Drawing, drawn: Drawn) -> dict[str, Any]:
+    """Give the sidecar's `quality`: what was clipped and folded, and how far out the face lies."""
+    tables = [
+        table for table in (drawing.loadings_sd, drawing.colour_sd, drawing.outside_sd) if table is not None
+    ]
+    plausible = plausibility(plausible_limits_sd(model), tables)
+    values = 3 * drawn.frames * drawn.size[0] * drawn.size[1]
+    return {
+        "clipped_values": drawn.clipped_values,
+        "clipped_percent": round(100 * drawn.clipped_values / values, PERCENT_DIGITS),
+        "folded_percent": round(100 * drawn.folded_share, PERCENT_DIGITS),
+        "largest_sd": plausible.largest_sd,
+        "largest_component": plausible.largest_component,
+        "rms_sd": plausible.rms_sd,
+        "beyond": list(plausible.beyond),
+    }
+
+
+def _row(drawing: Drawing, document: Mapping[str, Any], sidecar_sha256: str) -> dict[str, Any]:
+    """Give the manifest's row of a stimulus from its sidecar."""
+    output, quality, model = document["output"], document["quality"], document["model"]
+    row: dict[str, Any] = {
+        "name": drawing.name,
+        "file": drawing.file_name,
+        "verb": document["verb"],
+        "identity": model["identity"],
+        "model_id": model["model_id"],
+        **drawing.told,
+        "frames": output["frames"],
+        "frame_rate_hz": output["frame_rate_hz"],
+        "width_px": output["size"][0],
+        "height_px": output["size"][1],
+    }
+    for space, figures in document["statistics"].items():
+        row |= {f"{space}_{figure}": value for figure, value in figures.items()}
+    row["clipped_percent"], row["folded_percent"] = quality["clipped_percent"], quality["folded_percent"]
+    row["largest_sd"], row["largest_component"] = quality["largest_sd"], quality["largest_component"]
+    row["rms_sd"] = quality["rms_sd"]
+    row["beyond"] = " ".join(f"pc{component:03d}" for component in quality["beyond"])
+    row |= {key: _words(document.get(key)) for key in ("consent", "licence")}
+    return {**row, "sha256": output["sha256"], "sidecar_sha256": sidecar_sha256}
+
+
+def _words(value: Any) -> str:
+    if value is None:
+        return ""
+    return (
+        value
+        if isinstance(value, str)
+        else "; ".join(map(str, value))
+        if isinstance(value, list)
+        else str(value)
+    )

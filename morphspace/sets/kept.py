@@ -1,0 +1,66 @@
+"""What many requests in one process ask again: digests of files that did not change, and clips encoded already.
+
+A batch plans a request a job, and its jobs share a few models, tables and clips.
+"""
+
+from __future__ import annotations
+
+from collections import OrderedDict
+from functools import lru_cache
+from pathlib import Path
+
+import numpy as np
+
+from morphspace.arrays import AnyArray
+from morphspace.errors import UnreadableFile
+from morphspace.grid import warp
+from morphspace.io.framing import FramedClip
+from morphspace.model.encode import encoded_frames, joined
+from morphspace.model.model import Loadings, MorphModel
+from morphspace.steps import Step, Steps
+from morphspace.storage import digest_of_file
+
+CLIPS_KEPT = 8
+Encoded = tuple[
+    Loadings, AnyArray
+]  # loadings (n, k), and registrations (n, 2, 3) to the source's own pictures
+
+
+def digest_of_kept(path: Path) -> str:
+    """Give the SHA-256 of a file, taken again only where its size or its time of change is another.
+
+    Raises `UnreadableFile`.
+    """
+    try:
+        found = path.stat()
+    except OSError as error:
+        raise UnreadableFile(f"cannot read {path}: {error.strerror or error}") from error
+    return _digest(path.resolve(), found.st_size, found.st_mtime_ns)
+
+
+@lru_cache(maxsize=256)
+def _digest(path: Path, size: int, changed_ns: int) -> str:
+    del size, changed_ns  # they are the key's business
+    return digest_of_file(path)
+
+
+_ENCODED: OrderedDict[tuple[object, ...], Encoded] = OrderedDict()
+
+
+def encoded_clip(model: MorphModel, source: FramedClip) -> Steps[Encoded]:
+    """Encode a clip, or give what was found when the same pictures were encoded before with the same model.
+
+    Returns loadings (n, k) and where the faces are: (n, 2, 3), from a point of the aligned picture to the original's.
+    """
+    key = (model.model_id, source.digests, source.names)
+    if key not in _ENCODED:
+        parts, registrations = [], []
+        for encoded in encoded_frames(model, source):
+            parts.append(encoded.loadings)
+            registrations.append(warp.chain_affine(source.to_source, encoded.frame.registration))
+            yield Step("encode", len(parts), len(source.names))
+        _ENCODED[key] = joined(model, parts), np.stack(registrations)
+        while len(_ENCODED) > CLIPS_KEPT:
+            _ENCODED.popitem(last=False)
+    _ENCODED.move_to_end(key)
+    return _ENCODED[key]

@@ -1,0 +1,148 @@
+"""The table of a stimulus set: `manifest.csv`, one row a stimulus, and `manifest.json`, what each column means.
+
+In the manner of Psych-DS: a plain CSV beside a schema.org `Dataset` whose `variableMeasured` describes every column
+with its unit (`data_spec/manifest.md`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from morphspace.errors import BadInput
+from morphspace.io.tables import write_metrics_table
+from morphspace.stimuli.image_statistics import FIGURES, SPACES
+from morphspace.storage import json_text, write_text
+
+MANIFEST_FORMAT = "morphspace-manifest"
+MANIFEST_VERSION = 1
+MANIFEST_NAME = "manifest.csv"
+
+
+@dataclass(frozen=True)
+class Column:
+    """What a column of the manifest means, and its unit, None where it has none."""
+
+    description: str
+    unit: str | None = None
+
+
+def _statistic(space: str, figure: str) -> Column:
+    where = "in linear light" if space == "linear" else "in code values"
+    what = {
+        "luminance": ("Mean luminance (ITU-R BT.709)", "0 to 1"),
+        "rms_contrast": ("RMS contrast: standard deviation of luminance over its mean", "ratio"),
+        "spectral_slope": (
+            "Slope of log amplitude on log spatial frequency of luminance",
+            "log amplitude per log frequency",
+        ),
+        "red": ("Mean of the red channel", "0 to 1"),
+        "green": ("Mean of the green channel", "0 to 1"),
+        "blue": ("Mean of the blue channel", "0 to 1"),
+    }[figure]
+    return Column(f"{what[0]}, {where}, over the whole picture; of a video the mean over its frames", what[1])
+
+
+FIRST_COLUMNS: Mapping[str, Column] = {
+    "name": Column("The stimulus: its file without suffix, from the set's folder"),
+    "file": Column("The picture or video, from the set's folder"),
+    "verb": Column("What made it, as it is called on the command line"),
+    "identity": Column("Whose face the model shows"),
+    "model_id": Column("The model: 16 hexadecimal digits that name its components"),
+}
+LAST_COLUMNS: Mapping[str, Column] = {
+    "frames": Column("Frames of the stimulus; 1 for a picture", "frames"),
+    "frame_rate_hz": Column("Frames a second of a video", "Hz"),
+    "width_px": Column("Width of the picture", "px"),
+    "height_px": Column("Height of the picture", "px"),
+    **{f"{space}_{figure}": _statistic(space, figure) for space in SPACES for figure in FIGURES},
+    "outlier_in": Column(
+        "Image statistics in which the stimulus stands out from its set: modified z-score above 3.5 "
+        "(Iglewicz and Hoaglin 1993)"
+    ),
+    "clipped_percent": Column("Colour values that were clipped to the range of the file", "percent"),
+    "folded_percent": Column(
+        "Cells of the face's grid that the warp turns over, in the worst frame", "percent"
+    ),
+    "largest_sd": Column("The loading furthest from the mean face", "SD of its component"),
+    "largest_component": Column("The component that has it, from 1"),
+    "rms_sd": Column("Root mean square of the loadings, in the frame furthest from the mean face", "SD"),
+    "beyond": Column(
+        "Components further out than 3 SD and than any training face: the face may not be one the model can vouch for"
+    ),
+    "consent": Column("What the person shown agreed to, as the model carries it"),
+    "licence": Column("The licence of the material, as the model carries it"),
+    "sha256": Column("SHA-256 of the picture or video"),
+    "sidecar_sha256": Column("SHA-256 of the sidecar, the file of the same name that ends in .json"),
+}
+TOLD_COLUMNS: Mapping[str, Column] = {
+    "frame": Column("The frame of the clip or the row of the table it was made from"),
+    "gain": Column("Factor on the loadings: 1 veridical, above 1 a caricature, below 0 an anti-face"),
+    "warp_gain": Column("Factor on the loadings of the warp"),
+    "texture_gain": Column("Factor on the loadings of the texture"),
+    "components": Column("The components that were changed; empty where all were"),
+    "region": Column("The region of the face that was changed; empty where all was"),
+    "component": Column("The component that was varied, from 1"),
+    "amount_sd": Column("How far along the component", "SD"),
+    "first_sd": Column("How far along the first component of a grid", "SD"),
+    "second_sd": Column("How far along the second component of a grid", "SD"),
+    "seed": Column("The seed of the random numbers"),
+    "draw": Column("The number of the face among those drawn, from 0"),
+    "step": Column("The step along a continuum, from 0"),
+    "original": Column("The original frame the face was put back into"),
+}
+"""What verbs tell of their stimuli; a verb may describe more of its own."""
+
+
+def write_manifest(
+    folder: Path,
+    rows: Sequence[Mapping[str, Any]],
+    columns: Mapping[str, Column],
+    document: Mapping[str, Any],
+) -> tuple[Path, Path]:
+    """Write the manifest of a set: rows (one a stimulus), and the columns' meaning beside it.
+
+    `columns` are those the rows may hold beyond the usual ones, in their order; `document` is what else to say of the
+    set. A column that no row holds is left out. Raises `BadInput` where a row holds an entry that nothing describes.
+    """
+    known = {**FIRST_COLUMNS, **columns, **LAST_COLUMNS}
+    held = {key for row in rows for key in row}
+    unknown = sorted(held - set(known))
+    if unknown:
+        raise BadInput(
+            f"the manifest has no description of {unknown[0]!r}: describe it among the set's columns"
+        )
+    names = [name for name in known if name in held]
+    table = folder / MANIFEST_NAME
+    write_metrics_table(table, {name: [row.get(name) for row in rows] for name in names})
+    described = {
+        "@context": "https://schema.org/",
+        "@type": "Dataset",
+        "format": MANIFEST_FORMAT,
+        "version": MANIFEST_VERSION,
+        "stimulus_count": len(rows),
+        "variableMeasured": [_property(name, known[name]) for name in names],
+        **document,
+    }
+    write_text(table.with_suffix(".json"), json_text(described))
+    return table, table.with_suffix(".json")
+
+
+def _property(name: str, column: Column) -> dict[str, str]:
+    told = {"@type": "PropertyValue", "name": name, "description": column.description}
+    return told if column.unit is None else {**told, "unitText": column.unit}
+
+
+def described_columns(told: Iterable[str], more: Mapping[str, Column]) -> dict[str, Column]:
+    """Give what the told entries mean, in their order. Raises `BadInput` where nothing describes one."""
+    found = {}
+    for key in told:
+        if key in FIRST_COLUMNS or key in LAST_COLUMNS:
+            raise BadInput(f"the column {key!r} is one of the manifest's own: give it another name")
+        column = more.get(key) or TOLD_COLUMNS.get(key)
+        if column is None:
+            raise BadInput(f"the column {key!r} needs a description: describe it among the set's columns")
+        found[key] = column
+    return found

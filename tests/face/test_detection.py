@@ -1,0 +1,287 @@
+"""Laws of face detection: anchors, boxes and crops by algebra; and, marked slow, what the real networks must keep.
+
+The slow tests need the networks: `morphspace models fetch` once. Without them they fail, they are not skipped.
+"""
+
+from concurrent.futures import ThreadPoolExecutor
+
+import cv2
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose, assert_array_equal
+from skimage import data as pictures
+
+from morphspace.errors import BadInput
+from morphspace.face.detector import MissingModels, load_detector, models_present
+from morphspace.face.detector.boxes import FaceBox, anchors, decode, main_face, overlap, suppress
+from morphspace.face.detector.crops import Crop, along, whole_image
+from morphspace.face.detector.eyes import EYES, LID_ORDER
+from morphspace.face.detector.mirror import OPPOSITE
+from morphspace.face.mesh import (
+    LEFT_BROW,
+    LEFT_IRIS,
+    LEFT_LIDS,
+    OUTER_LIPS,
+    RIGHT_BROW,
+    RIGHT_IRIS,
+    RIGHT_LIDS,
+    FacePoints,
+)
+
+
+def box(x, y, size, score):
+    return FaceBox(np.array([[x, y], [x + size, y + size]], float), np.tile([x + size / 2, y], (6, 1)), score)
+
+
+def ramp(width, height):
+    """A picture whose red is x and whose green is y, in px / 1000, so that a crop tells where it was cut."""
+    y, x = np.mgrid[:height, :width].astype(np.float32)
+    return np.stack([x, y, 0 * x], axis=-1) / 1000
+
+
+# Boxes
+
+
+def test_anchors_are_the_cell_centres_of_both_grids():
+    found = anchors()
+    assert found.shape == (896, 2)
+    assert_array_equal(found[0], found[1])
+    assert_allclose(found[0], (4, 4))
+    assert_allclose(found[2], (12, 4))  # the next cell of the row: 8 px on
+    assert_allclose(found[16 * 16 * 2], (8, 8))
+    assert_allclose(found.mean(axis=0), (64, 64))
+
+
+def test_decoded_box_stands_on_its_anchor():
+    scores, regressors = np.full(896, -50.0), np.zeros((896, 16))
+    scores[5] = 3.0
+    regressors[5] = [1, 2, 30, 20, *range(12)]
+    (face,) = decode(scores, regressors)
+    anchor = anchors()[5] - 0.5  # pixel centres at integers
+    assert_allclose(face.corners.mean(axis=0), anchor + np.array([1, 2]))
+    assert_allclose(face.corners[1] - face.corners[0], (30, 20))
+    assert_allclose(face.marks, anchor + np.arange(12).reshape(6, 2))
+    assert_allclose(face.score, 1 / (1 + np.exp(-3.0)))
+
+
+def test_nonsense_of_a_network_is_no_box():
+    scores, regressors = np.full(896, 5.0), np.zeros((896, 16))
+    regressors[:, 2:4] = 10
+    regressors[0, 2] = -1  # turned inside out
+    regressors[1, 7] = np.inf
+    scores[2], scores[3:] = np.nan, -1e30
+    assert decode(scores, regressors) == []
+    assert decode(np.full(896, 1e30), regressors)[0].score == 1.0
+
+
+def test_overlap_is_intersection_over_union():
+    assert overlap(box(0, 0, 10, 1), box(0, 0, 10, 1)) == 1
+    assert_allclose(overlap(box(0, 0, 10, 1), box(5, 0, 10, 1)), 50 / 150)
+    assert overlap(box(0, 0, 10, 1), box(20, 20, 10, 1)) == 0
+
+
+def test_boxes_of_one_face_become_their_weighted_mean_and_others_stay():
+    faces = suppress([box(0, 0, 10, 0.6), box(1, 0, 10, 0.9), box(50, 50, 10, 0.7)])
+    assert [face.score for face in faces] == [0.9, 0.7]
+    assert_allclose(faces[0].corners[0], ((0 * 0.6 + 1 * 0.9) / 1.5, 0))
+    assert_allclose(faces[1].corners[0], (50, 50))
+
+
+def test_order_of_the_candidates_does_not_matter():
+    candidates = [box(0, 0, 10, 0.6), box(1, 0, 10, 0.9), box(50, 50, 10, 0.7), box(2, 1, 10, 0.8)]
+    forth, back = suppress(candidates), suppress(candidates[::-1])
+    assert_allclose([f.corners for f in forth], [f.corners for f in back], rtol=1e-12)
+
+
+def test_main_face_is_the_largest_sure_one():
+    faces = [box(0, 0, 10, 0.95), box(50, 50, 30, 0.8), box(0, 50, 90, 0.69)]
+    assert main_face(faces, 0.7) is faces[1]
+    assert main_face(faces, 0.99) is None
+    assert main_face([], 0.7) is None
+
+
+# Crops
+
+
+@pytest.mark.parametrize("mirrored", [False, True])
+@pytest.mark.parametrize("extent_px", [40.0, 130.0, 333.0])
+def test_pixels_of_a_crop_are_those_it_says_they_are(extent_px, mirrored):
+    crop = Crop((203.3, 181.7), extent_px, 0.4, 64, mirrored)
+    cut = crop.cut(ramp(400, 360))
+    y, x = np.mgrid[10:54:11, 10:54:11].reshape(2, -1)
+    told = crop.in_image(np.column_stack([x, y]).astype(float))
+    # px of the image: OpenCV places samples to 1/32 px of what it samples, here blocks of up to 5 px
+    assert_allclose(1000 * cut[y, x, :2], told, atol=0.2)
+
+
+def test_crop_outside_the_image_is_black():
+    cut = Crop((-500.0, -500.0), 300.0, 0.0, 32).cut(ramp(400, 360) + 0.5)
+    assert_array_equal(cut, 0)
+    edge = Crop((0.0, 0.0), 400.0, 0.0, 64).cut(np.ones((200, 200, 3), np.float32))
+    assert_array_equal(edge[:30, :30], 0)
+    assert_allclose(edge[34:60, 34:60], 1, atol=1e-6)
+
+
+def test_a_shrunk_crop_does_not_alias():
+    stripes = np.zeros((960, 960, 3), np.float32)
+    stripes[:, ::2] = 1
+    cut = Crop((479.5, 479.5), 900.0, 0.0, 128).cut(stripes)
+    assert_allclose(cut, 0.5, atol=0.09)  # blocks of 7 hold 3 or 4 stripes
+
+
+def test_the_whole_image_fits_its_crop_with_even_margins():
+    crop = whole_image(200, 400, 128, 1.5)
+    inside = np.linalg.inv(np.vstack([crop.to_image, (0, 0, 1)]))[:2]
+    corners = np.array([[-0.5, -0.5], [199.5, 399.5]]) @ inside[:, :2].T + inside[:, 2] + 0.5
+    assert_allclose(corners.sum(axis=0), (128, 128))
+    assert_allclose(corners[1, 1] - corners[0, 1], 128 / 1.5)
+
+
+def test_a_crop_turns_and_grows_with_its_points():
+    points = np.random.default_rng(0).uniform(0, 50, (30, 2))
+    angle, scale = 0.7, 3.0
+    similarity = scale * np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
+    moved = points @ similarity.T + (20, -5)
+    before = along(points, points[0], points[1], 1.5, 192)
+    after = along(moved, moved[0], moved[1], 1.5, 192)
+    corners = np.array([[0, 0], [191, 0], [0, 191]], float)
+    # Edges of pixels scale, centres follow: compare through the crops' continuous coordinates.
+    assert_allclose(after.in_image(corners), before.in_image(corners) @ similarity.T + (20, -5), atol=1e-9)
+
+
+# Names of points
+
+
+def test_opposite_points_are_opposite_each_other():
+    order = np.array(OPPOSITE)
+    assert_array_equal(order[order], np.arange(468))
+    assert_array_equal(order[list(RIGHT_LIDS)], LEFT_LIDS)
+    assert_array_equal(order[list(RIGHT_BROW)], LEFT_BROW)
+    assert set(order[list(OUTER_LIPS)]) == set(OUTER_LIPS)
+    assert order[164] == 164
+
+
+def test_lid_order_runs_round_the_eye():
+    assert sorted(LID_ORDER) == list(range(16))
+    assert [eye.lids[0] for eye in EYES] == [33, 263]
+    assert sorted(EYES[1].iris) == list(LEFT_IRIS)
+
+
+# Without the networks
+
+
+def test_missing_networks_name_the_command_that_brings_them(tmp_path):
+    assert not models_present(tmp_path)
+    with pytest.raises(MissingModels, match="morphspace models fetch"):
+        load_detector(tmp_path)
+
+
+# With the networks
+
+
+@pytest.fixture(scope="module")
+def detector():
+    """The real detector; without the networks the test fails and names the command."""
+    return load_detector()
+
+
+@pytest.fixture(scope="module")
+def portrait():
+    """A photograph of a face, slightly turned, that comes with scikit-image."""
+    return (pictures.astronaut()[:300, 60:380] / 255).astype(np.float32)
+
+
+@pytest.fixture(scope="module")
+def face(detector, portrait):
+    return detector(portrait)
+
+
+def apart(one: FacePoints, other: FacePoints):
+    """How far the points are apart, rms, in % of the distance between the eyes."""
+    return 100 * np.sqrt(np.mean((one.points - other.points) ** 2) * 2) / one.interocular_px
+
+
+@pytest.mark.slow
+def test_a_face_is_found_where_it_is(face):
+    # Read off the enlarged photograph by eye, to 2 px.
+    assert_allclose(face.faceframe().points, [(144, 102), (186, 104), (163, 135)], atol=3)
+    assert face.score >= 0.7
+    assert face.points.dtype == np.float64
+    pupils = face.points[[RIGHT_IRIS[0], LEFT_IRIS[0]]]
+    assert_allclose(pupils, face.faceframe().points[:2], atol=4)
+
+
+@pytest.mark.slow
+def test_the_same_image_gives_the_same_points_whatever_the_threads(detector, portrait, face):
+    threads = cv2.getNumThreads()
+    try:
+        cv2.setNumThreads(1)
+        assert_array_equal(detector(portrait).points, face.points)
+    finally:
+        cv2.setNumThreads(threads)
+    others = [np.ascontiguousarray(portrait[:, shift:]) for shift in range(0, 16, 2)]
+    one_by_one = [detector(image).points for image in others]
+    with ThreadPoolExecutor(4) as pool:
+        together = [found.points for found in pool.map(detector, others)]
+    assert_array_equal(one_by_one, together)
+
+
+@pytest.mark.slow
+def test_a_mirrored_face_gives_mirrored_points(detector, portrait, face):
+    found = detector(np.ascontiguousarray(portrait[:, ::-1]))
+    order = [*OPPOSITE, *(LEFT_IRIS[i] for i in (0, 3, 2, 1, 4)), *(RIGHT_IRIS[i] for i in (0, 3, 2, 1, 4))]
+    back = found.points[order]
+    back[:, 0] = portrait.shape[1] - 1 - back[:, 0]
+    # 1.5 % of the eye distance is 0.6 px here: the first crop, from the box, is not the mirror image to the pixel.
+    assert apart(face, face.moved(back)) < 1.5
+    assert_allclose(found.turn_degrees[0], -face.turn_degrees[0], atol=2)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("angle_deg", [-30.0, 20.0])
+def test_points_turn_with_the_face(detector, portrait, face, angle_deg):
+    height, width = portrait.shape[:2]
+    matrix = cv2.getRotationMatrix2D((width / 2, height / 2), angle_deg, 1.0)
+    image = cv2.warpAffine(portrait, matrix, (width, height), flags=cv2.INTER_CUBIC)
+    found = detector(image)
+    assert apart(face.moved(face.points @ matrix[:, :2].T + matrix[:, 2]), found) < 2
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("scale", [0.7, 2.0, 5.0])
+def test_points_grow_with_the_face(detector, portrait, face, scale):
+    size = (round(portrait.shape[1] * scale), round(portrait.shape[0] * scale))
+    method = cv2.INTER_AREA if scale < 1 else cv2.INTER_CUBIC
+    found = detector(cv2.resize(portrait, size, interpolation=method))
+    assert apart(face, face.moved((found.points + 0.5) / scale - 0.5)) < 1.5
+
+
+@pytest.mark.slow
+def test_a_face_that_more_than_fills_the_frame_is_found(detector, portrait, face):
+    low, high = face.points.min(axis=0), face.points.max(axis=0)
+    inset = 0.1 * (
+        high - low
+    )  # cut off on every side; without room around it the box network misses this one
+    (x0, y0), (x1, y1) = (low + inset).astype(int), (high - inset).astype(int)
+    found = detector(np.ascontiguousarray(portrait[y0:y1, x0:x1]))
+    # Forehead and chin, a fifth of the points, lie outside and are guessed.
+    assert apart(face, face.moved(found.points + np.array([x0, y0]))) < 8
+
+
+@pytest.mark.slow
+def test_no_face_is_none(detector):
+    assert detector(np.zeros((240, 200, 3), np.float32)) is None
+    assert detector(np.random.default_rng(0).random((240, 200, 3), np.float32)) is None
+    assert detector(np.full((1, 1, 3), 0.5, np.float32)) is None
+    brick = np.repeat(pictures.brick()[:, :, None] / 255, 3, axis=2).astype(np.float32)
+    assert detector(brick) is None
+
+
+@pytest.mark.slow
+def test_what_is_no_image_is_refused(detector, portrait):
+    with pytest.raises(BadInput, match=r"\(300, 320\)"):
+        detector(portrait[:, :, 0])
+    broken = portrait.copy()
+    broken[5, 5] = np.nan
+    with pytest.raises(BadInput, match="not finite"):
+        detector(broken)

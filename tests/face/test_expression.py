@@ -1,0 +1,72 @@
+"""Laws of rest: calm faces with the lips slightly apart are near it, wherever the head is."""
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose, assert_array_equal
+
+from morphspace.face.expression import LOWER_LIDS, SLIGHTLY_OPEN, UPPER_LIDS, far_from_rest, mouth_gap
+from morphspace.face.mesh import (
+    LEFT_BROW,
+    LEFT_LIDS,
+    LIPS,
+    LOWER_LIP_TOP,
+    POINT_COUNT,
+    RIGHT_BROW,
+    RIGHT_LIDS,
+    UPPER_LIP_BOTTOM,
+    FacePoints,
+)
+from morphspace.grid import warp
+
+EYES_PX = 30.0
+MOVEMENT = np.array([[0.98, -0.17, 12.0], [0.17, 0.98, -4.0]])  # a similarity: turn of 10 degrees and a shift
+
+
+def face(gap=SLIGHTLY_OPEN, raised=()):
+    """A face with the lips `gap` eye distances apart; the points `raised` stand 6 px higher."""
+    points = np.random.default_rng(2).uniform((25, 30), (75, 85), (POINT_COUNT, 2))
+    for lids, x in ((RIGHT_LIDS, 35.0), (LEFT_LIDS, 35.0 + EYES_PX)):
+        points[list(lids)] += np.array([x, 46.0]) - points[list(lids)].mean(axis=0)
+    points[list(LIPS), 1] = 78.0
+    points[UPPER_LIP_BOTTOM] = (50.0, 78.0)
+    points[LOWER_LIP_TOP] = (50.0, 78.0 + gap * EYES_PX)
+    points[list(raised), 1] -= 6.0
+    return FacePoints(points, 0.9)
+
+
+def moved(one, movement):
+    return one.moved(warp.apply_affine(movement, one.points))
+
+
+def test_the_mouths_gap_is_told_in_eye_distances():
+    assert mouth_gap(face(0.25)) == pytest.approx(0.25)
+    assert mouth_gap(moved(face(0.25), np.array([[2.0, 0, 0], [0, 2, 0]]))) == pytest.approx(0.25)
+
+
+def test_calm_faces_with_the_lips_slightly_apart_are_nearest_to_rest():
+    calm = [face() for _ in range(5)]
+    far = far_from_rest([*calm, face(0.4), None, face(0.0), face(raised=RIGHT_BROW + LEFT_BROW)])
+    assert_allclose(far[:5], 0, atol=1e-6)
+    assert np.isinf(far[6])
+    assert (far[[5, 7]] > 1).all() and far[8] > 0.5
+
+
+def test_a_blink_is_far_from_rest_and_wide_open_eyes_less():
+    def eyed(gap):
+        one = face()
+        points = one.points.copy()
+        points[list(UPPER_LIDS)] = points[list(LOWER_LIDS)] - (0.0, gap * EYES_PX)
+        return FacePoints(points, 0.9)
+
+    far = far_from_rest([*(eyed(0.12) for _ in range(5)), eyed(0.03), eyed(0.21)])
+    assert far[5] > 2.5 and far[6] < 1
+
+
+def test_where_the_head_is_does_not_count_for_rest():
+    faces = [face(gap) for gap in (0.02, 0.07, 0.3, 0.07)]
+    turned = [faces[0], moved(faces[1], MOVEMENT), faces[2], moved(faces[3], MOVEMENT)]
+    assert_allclose(far_from_rest(turned), far_from_rest(faces), atol=1e-6)
+
+
+def test_without_a_face_nothing_is_near_rest():
+    assert_array_equal(far_from_rest([None, None]), [np.inf, np.inf])

@@ -1,0 +1,155 @@
+"""Laws of the points found in frames: once a frame, kept, never needed; and what a build takes from them."""
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.testing import assert_allclose, assert_array_equal
+
+from morphspace.face import regions
+from morphspace.face.faceframe import face_mask
+from morphspace.face.finder import FaceFinder
+from morphspace.face.mesh import FACE_OUTLINE, LEFT_LIDS, PHILTRUM, POINT_COUNT, RIGHT_LIDS, FacePoints
+from morphspace.face.points_in_clip import points_steps
+from morphspace.face.registration import Registration
+from morphspace.grid import warp
+from morphspace.model.passes import BuildSettings, build_steps
+from morphspace.steps import result_of
+from morphspace.storage import digest_of_array
+
+SETTINGS = BuildSettings(components=6, flow="dis", reference=0, warp_weight=0.05)
+PROVENANCE = {"identity": "drawn", "framing": {"source_size": [60, 72], "crop": None, "size": [60, 72]}}
+HEIGHT, WIDTH = 72, 60
+
+
+def neutral_points():
+    """Points of a face where a cropped face stands in a frame of 60 x 72 px."""
+    points = np.random.default_rng(6).uniform((12, 20), (48, 60), (POINT_COUNT, 2))
+    for lids, x in ((RIGHT_LIDS, 21.0), (LEFT_LIDS, 39.0)):
+        points[list(lids)] += np.array([x, 30.0]) - points[list(lids)].mean(axis=0)
+    turns = np.linspace(0, 2 * np.pi, len(FACE_OUTLINE), endpoint=False)
+    points[list(FACE_OUTLINE)] = np.array([30.0, 38.0]) + np.column_stack(
+        [22 * np.sin(turns), -28 * np.cos(turns)]
+    )
+    points[PHILTRUM] = (30.0, 45.0)
+    return points
+
+
+class Looking:
+    """A detector that finds the same points in every picture but those it is told to miss; it counts its calls."""
+
+    def __init__(self, miss=()):
+        self.miss, self.calls = [digest_of_array(picture) for picture in miss], 0
+
+    def __call__(self, image):
+        self.calls += 1
+        if digest_of_array(image) in self.miss:
+            return None
+        return FacePoints(neutral_points(), 0.9, depth=np.zeros(POINT_COUNT))
+
+
+def test_points_come_back_as_they_were_found_and_are_found_once(clip, tmp_path):
+    look = Looking(miss=[clip.pictures[4]])
+    finder = FaceFinder(look, {"version": 1})
+    first = result_of(points_steps(clip, finder, tmp_path))
+    calls = look.calls
+    second = result_of(points_steps(clip, finder, tmp_path))
+    assert look.calls == calls > 0
+    for index, (one, other) in enumerate(zip(first, second, strict=True)):
+        if index == 4:
+            assert one is None and other is None
+            continue
+        assert_array_equal(one.points, neutral_points())
+        assert_array_equal(other.points, one.points)
+        assert_array_equal(other.depth, one.depth)
+        assert other.score == one.score == 0.9
+
+
+def test_another_detector_looks_again_and_a_damaged_file_is_made_anew(clip, tmp_path):
+    result_of(points_steps(clip, FaceFinder(Looking(), {"version": 1}), tmp_path))
+    files = sorted(tmp_path.glob("*.points"))
+    other = Looking()
+    result_of(points_steps(clip, FaceFinder(other, {"version": 2}), tmp_path))
+    assert other.calls == len(files)
+    files[0].write_bytes(files[0].read_bytes()[:-7])
+    again = Looking()
+    result_of(points_steps(clip, FaceFinder(again, {"version": 1}), tmp_path))
+    assert again.calls == 1
+
+
+def built(clip, folder, settings=SETTINGS, **finder):
+    folder.mkdir(exist_ok=True)
+    wanted = replace(settings, finder=FaceFinder(Looking(**finder), {"version": 1}))
+    return result_of(build_steps(clip, wanted, folder, PROVENANCE))
+
+
+def test_a_build_takes_mask_rigid_part_and_keypoints_from_the_face(clip, tmp_path, monkeypatch):
+    monkeypatch.setattr(regions, "OVERLAP", 1.0)  # as if the usual ellipse lay beside the face
+    build = built(clip, tmp_path / "with")
+    model = build.model
+    face = FacePoints(neutral_points(), 0.9)
+    assert_allclose(model.reference_faceframe.points, face.faceframe().points)
+    to_mean = warp.invert(model.mean_inverse)
+    placed = face.faceframe().moved(warp.move_points(to_mean, face.faceframe().points))
+    assert_allclose(model.mask, face_mask(HEIGHT, WIDTH, placed), atol=0.02)  # the inverse of an inverse
+    assert model.faceframe is not None and model.provenance["keypoints"]["source"] == "auto"
+    assert model.provenance["mask_from"] == "found face"
+    told = model.provenance["landmarks"]
+    assert told["detector"] == {"version": 1} and told["frames_with_face"] == told["frames"] == len(
+        clip.names
+    )
+    assert build.faces_found.all() and not build.warnings
+
+
+def test_the_usual_mask_stays_where_it_lies_on_the_face():
+    face = FacePoints(neutral_points(), 0.9)
+    assert regions.place_of_mask(face, HEIGHT, WIDTH, 0.3) is None
+    beside = FacePoints(neutral_points() / 3, 0.9)  # small, in a corner
+    found = regions.place_of_mask(beside, HEIGHT, WIDTH, 0.3)
+    assert found is not None and found.points.tolist() == beside.faceframe().points.tolist()
+    assert regions.place_of_mask(None, HEIGHT, WIDTH, 0.3) is None
+
+
+def test_a_frame_without_a_face_goes_without_and_is_counted(clip, tmp_path):
+    build = built(clip, tmp_path / "with", miss=[clip.pictures[5]])
+    assert build.faces_found.sum() == len(clip.names) - 1 and not build.faces_found[5]
+    assert build.model.provenance["landmarks"]["frames_with_face"] == len(clip.names) - 1
+    assert len(build.model.training.values) == len(clip.names)
+
+
+def test_a_clip_in_which_no_face_is_found_is_built_as_without(clip, tmp_path):
+    build = built(clip, tmp_path / "with", miss=clip.pictures)
+    plain = result_of(build_steps(clip, SETTINGS, tmp_path / "plain", PROVENANCE))
+    assert_array_equal(build.model.mask, plain.model.mask)
+    assert_array_equal(build.model.basis.components, plain.model.basis.components)
+    assert_array_equal(build.model.mask, face_mask(HEIGHT, WIDTH))
+    assert not build.faces_found.any() and plain.faces_found is None
+
+
+def test_what_was_given_wins_over_what_was_found(clip, tmp_path):
+    mask = np.zeros((HEIGHT, WIDTH), np.float32)
+    mask[20:60, 15:45] = 1
+    model = built(clip, tmp_path / "with", replace(SETTINGS, mask=mask)).model
+    assert model.provenance["mask_from"] == "given"
+    assert_allclose(model.mask, warp.sample_field(mask, model.mean_inverse), atol=1e-6)
+
+
+def test_the_same_frames_and_detector_give_the_same_bytes(clip, tmp_path):
+    for name in ("one", "two"):
+        built(clip, tmp_path / name, miss=[clip.pictures[3]]).model.save(tmp_path / f"{name}.morph")
+    assert (tmp_path / "one.morph").read_bytes() == (tmp_path / "two.morph").read_bytes()
+
+
+def test_registration_starts_from_the_points_of_the_face(clip, tmp_path, monkeypatch):
+    starts = []
+
+    def registering(registration, image, start=None):
+        starts.append(start)
+        return np.eye(2, 3)
+
+    monkeypatch.setattr(Registration, "of", registering)
+    built(clip, tmp_path / "with", miss=[clip.pictures[2]])
+    # Every frame but the reference is registered once; the one without a face starts from nothing.
+    assert sum(start is None for start in starts) == 1
+    for start in starts:
+        if start is not None:
+            assert_allclose(start, np.eye(2, 3), atol=1e-9)  # the same points in both

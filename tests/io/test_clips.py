@@ -1,0 +1,222 @@
+"""Laws of clips: the same frames, however they are named, in the order a person expects."""
+
+import hashlib
+import json
+import random
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+from numpy.testing import assert_array_equal
+
+from morphspace.errors import BadInput, SizeMismatch, UnreadableFile
+from morphspace.io.clips import natural_key, open_clip
+from morphspace.io.images import read_image, write_image
+from morphspace.io.video import write_video
+
+RNG = np.random.default_rng(8)
+FRAMES = [(RNG.integers(0, 256, (12, 16, 3)) / 255).astype(np.float32) for _ in range(12)]
+NAMES = tuple(f"frame_{number}" for number in range(12))  # frame_10 must follow frame_9
+
+
+@pytest.fixture
+def folder(tmp_path):
+    folder = tmp_path / "smile"
+    for name, frame in zip(NAMES, FRAMES, strict=True):
+        write_image(folder / f"{name}.png", frame)
+    return folder
+
+
+def test_names_are_sorted_as_people_do():
+    expected = ["A1", "a2", "a2b", "a10", "a10b1", "a10b02", "a10b2.5", "b", "b1"]
+    shuffled = random.Random(1).sample(expected, len(expected))
+    assert sorted(shuffled, key=natural_key) == expected
+    assert sorted(["1", "x", "01", "x1", ""], key=natural_key) == ["", "01", "1", "x", "x1"]
+
+
+def test_folder_glob_list_and_video_are_the_same_frames(folder):
+    write_video(folder / "take.mkv", FRAMES, encoding="lossless")
+    files = [folder / f"{name}.png" for name in NAMES]
+    random.Random(2).shuffle(files)
+    ways = [[folder], [str(folder)], [f"{folder}/*.png"], [f"{folder}/frame_*"], files, [folder / "take.mkv"]]
+    for sources in ways:
+        clip = open_clip(sources)
+        assert clip.size == (16, 12)
+        assert len(clip) == 12
+        for image, frame in zip(clip.images(), FRAMES, strict=True):
+            assert_array_equal(image, frame)
+        assert_array_equal(clip.load(10), FRAMES[10])
+        assert_array_equal(clip.load(-1), FRAMES[11])
+        for image, index in zip(clip.images([7, 2, 2]), [7, 2, 2], strict=True):
+            assert_array_equal(image, FRAMES[index])
+        if sources != ways[-1]:
+            assert (clip.name, clip.frame_names) == ("smile", NAMES)
+    assert (clip.name, clip.frame_names[10]) == ("take", "take_000010")
+    assert clip.sidecar.frame_rate_hz == 25.0
+
+
+def test_hidden_files_and_other_kinds_are_passed_over(folder):
+    (folder / ".frame_3.png").write_text("")
+    (folder / "notes.txt").write_text("")
+    (folder / "deeper.png").mkdir()
+    assert open_clip([folder]).frame_names == NAMES
+    assert open_clip([f"{folder}/*"]).frame_names == NAMES
+
+
+def test_opening_a_folder_decodes_nothing_and_loads_no_video_library(folder):
+    script = (
+        "import sys; from morphspace.io import clips, images; images._read_stored = None;"
+        "clip = clips.open_clip([sys.argv[1]]); print(len(clip), 'av' in sys.modules)"
+    )
+    done = subprocess.run([sys.executable, "-c", script, folder], capture_output=True, text=True, check=False)
+    assert done.stdout.split() == ["12", "False"], done.stderr
+
+
+def test_frames_may_lie_in_a_folder_called_frames(folder):
+    (folder.parent / "anna").mkdir()
+    folder.rename(folder.parent / "anna" / "frames")
+    sidecar = {"identity": "anna", "frame_rate_hz": 50, "camera": 2}
+    (folder.parent / "anna" / "clip.json").write_text(json.dumps(sidecar))
+    anna = folder.parent / "anna"
+    for sources in (
+        [anna],
+        [anna / "frames"],
+        [f"{anna}/frames/*.png"],
+        [anna / "frames" / f"{n}.png" for n in NAMES],
+    ):
+        clip = open_clip(sources)
+        assert (clip.name, clip.frame_names) == ("anna", NAMES)
+        assert (clip.sidecar.identity, clip.sidecar.frame_rate_hz, clip.sidecar.extra) == (
+            "anna",
+            50.0,
+            {"camera": 2},
+        )
+    (anna / "frames" / "clip.json").write_text('{"identity": "nearer"}')
+    assert open_clip([anna]).sidecar.identity == "nearer"
+
+
+def test_the_faceframe_of_a_sidecar_is_read(folder):
+    faceframe = {"frame": "frame_3", "right_eye": [4, 4.5], "left_eye": [10, 4], "philtrum": [7, 9]}
+    (folder / "clip.json").write_text(json.dumps({"faceframe": faceframe}))
+    read = open_clip([folder]).sidecar.faceframe
+    assert read.image == "frame_3"
+    assert_array_equal(read.points, [[4, 4.5], [10, 4], [7, 9]])
+
+
+def test_a_sidecar_of_a_video_lies_beside_it(tmp_path):
+    write_video(tmp_path / "take.mkv", FRAMES, encoding="lossless")
+    (tmp_path / "take.clip.json").write_text('{"identity": "anna", "frame_rate_hz": 100}')
+    sidecar = open_clip([tmp_path / "take.mkv"]).sidecar
+    assert (sidecar.identity, sidecar.frame_rate_hz) == ("anna", 100.0)
+
+
+def test_a_broken_sidecar_is_named(folder):
+    (folder / "clip.json").write_text("{")
+    with pytest.raises(UnreadableFile, match=r"clip\.json is not JSON"):
+        open_clip([folder])
+    (folder / "clip.json").write_text('{"frame_rate_hz": true}')
+    with pytest.raises(BadInput, match=r"clip\.json: frame_rate_hz is True"):
+        open_clip([folder])
+
+
+def test_names_are_unique_whatever_the_folders(tmp_path):
+    for name in (
+        "neutral/001.png",
+        "smiling/001.png",
+        "smiling/002.png",
+        "a/x/1.png",
+        "b/x/1.png",
+        "c/1.png",
+        "c/1.tif",
+    ):
+        write_image(tmp_path / name, FRAMES[0])
+    clip = open_clip(
+        [tmp_path / "smiling" / "001.png", tmp_path / "neutral" / "001.png", tmp_path / "smiling" / "002.png"]
+    )
+    assert clip.frame_names == ("neutral_001", "smiling_001", "smiling_002")
+    assert clip.name == tmp_path.name
+    assert open_clip([f"{tmp_path}/?/x/1.png"]).frame_names == ("a_x_1", "b_x_1")
+    assert open_clip([tmp_path / "c"]).frame_names == ("1.png", "1.tif")
+
+
+def test_a_path_with_brackets_is_itself(tmp_path):
+    write_image(tmp_path / "take[1]" / "a.png", FRAMES[0])
+    assert open_clip([tmp_path / "take[1]"]).name == "take[1]"
+
+
+def test_digests_are_of_bytes_and_tell_frames_apart(folder):
+    clip = open_clip([folder])
+    assert clip.digests()[3] == hashlib.sha256((folder / "frame_3.png").read_bytes()).hexdigest()
+    write_video(folder / "take.mkv", [FRAMES[0]] * 3, encoding="lossless")
+    video = open_clip([folder / "take.mkv"])
+    assert len({*clip.digests(), *video.digests()}) == 15
+    known = video.digests()
+    (folder / "take.mkv").rename(folder / "other.mkv")
+    assert open_clip([folder / "other.mkv"]).digests() == known
+
+
+@pytest.mark.parametrize("kind", ["folder", "video"])
+def test_a_subset_is_the_same_frames(folder, kind):
+    if kind == "video":
+        write_video(folder / "take.mkv", FRAMES, encoding="lossless")
+    clip = open_clip([folder if kind == "folder" else folder / "take.mkv"])
+    some = clip.subset([9, 2, -1])
+    assert some.frame_names == tuple(clip.frame_names[index] for index in (9, 2, 11))
+    assert some.digests() == tuple(clip.digests()[index] for index in (9, 2, 11))
+    for image, index in zip(some.images(), (9, 2, 11), strict=True):
+        assert_array_equal(image, FRAMES[index])
+    assert_array_equal(some.subset([1]).load(0), FRAMES[2])
+    for indices in ([], [1, 1], [12], [-13]):
+        with pytest.raises(BadInput, match=f"clip {clip.name}"):
+            clip.subset(indices)
+    with pytest.raises(BadInput, match="has 12 frames, frame 12 was asked for"):
+        clip.load(12)
+
+
+def test_sizes_that_differ_are_listed(folder):
+    write_image(folder / "large.png", np.zeros((20, 30, 3), np.float32))
+    with pytest.raises(SizeMismatch) as caught:
+        open_clip([folder])
+    message = str(caught.value)
+    assert "16 x 12: 12 (such as" in message
+    assert "30 x 20: 1 (such as" in message
+    assert "large.png" in message
+    assert "\n" not in message
+
+
+def test_what_is_no_clip_is_named(folder):
+    (folder.parent / "empty").mkdir()
+    (folder.parent / "notes.txt").write_text("")
+    video = folder.parent / "film" / "take.mkv"
+    write_video(video, FRAMES, encoding="lossless")
+    for sources, words in (
+        ([], "no clip was given"),
+        ([folder.parent / "gone"], "gone does not exist: a folder of images"),
+        ([folder.parent / "gone*"], r"no image or video matches .*gone\* \(0 other"),
+        ([folder.parent / "empty"], "empty holds no images"),
+        ([folder.parent / "film"], r"film holds no images .* 1 video\(s\), name the file itself"),
+        ([folder.parent / "notes.txt"], "notes.txt is neither an image nor a video"),
+        ([folder, folder.parent / "empty"], "one folder or several files"),
+        ([folder / "frame_1.png", video], "one video or several images"),
+        ([folder / "frame_1.png"] * 2, "frame_1.png was given more than once"),
+    ):
+        with pytest.raises(BadInput, match=words):
+            open_clip(sources)
+
+
+def test_one_unreadable_frame_is_named_on_opening(folder):
+    (folder / "frame_5.png").write_bytes(b"")
+    with pytest.raises(UnreadableFile, match=r"frame_5\.png is empty \(0 bytes\)"):
+        open_clip([folder])
+
+
+def test_one_truncated_frame_is_named_on_reading(folder):
+    content = (folder / "frame_5.png").read_bytes()
+    (folder / "frame_5.png").write_bytes(content[:-20])
+    clip = open_clip([folder])
+    frames = clip.images()
+    for index in range(5):
+        assert_array_equal(next(frames), read_image(folder / f"frame_{index}.png"))
+    with pytest.raises(UnreadableFile, match=r"frame_5\.png is cut short"):
+        next(frames)

@@ -1,0 +1,150 @@
+"""Laws of tables: numbers come back bit for bit, and what is wrong is named by row and column."""
+
+import json
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as arrays
+
+from morphspace.errors import BadInput, UnreadableFile
+from morphspace.io.tables import (
+    read_loadings_table,
+    read_metrics_table,
+    write_loadings_table,
+    write_metrics_table,
+)
+
+FINITE = st.floats(allow_nan=False, allow_infinity=False)
+
+
+@settings(max_examples=40, deadline=None)
+@given(
+    loadings=arrays.arrays(
+        np.float64, arrays.array_shapes(min_dims=2, max_dims=2, max_side=5), elements=FINITE
+    )
+)
+def test_loadings_come_back_bit_for_bit(tmp_path_factory, loadings):
+    path = tmp_path_factory.mktemp("table") / "motion.csv"
+    names = [f"frame {row}" for row in range(len(loadings))]
+    write_loadings_table(path, loadings, names, {"model_id": "m"})
+    table = read_loadings_table(path)
+    assert table.frame_names == tuple(names)
+    assert table.loadings_sd.dtype == np.float64
+    assert table.loadings_sd.tobytes() == loadings.tobytes()
+
+
+@pytest.mark.parametrize("name", ["a,b", 'say "a"', "two\nlines", "ä 笑", "0001", " x "])
+def test_any_frame_name_survives(tmp_path, name):
+    write_loadings_table(tmp_path / "t.csv", np.ones((1, 2)), [name], {})
+    assert read_loadings_table(tmp_path / "t.csv").frame_names == (name,)
+    write_metrics_table(tmp_path / "m.csv", {"frame": [name], "distance_px": [1.5]})
+    assert read_metrics_table(tmp_path / "m.csv") == {"frame": [name], "distance_px": [1.5]}
+
+
+def test_the_unit_is_in_the_heading_and_beyond_999_components_too(tmp_path):
+    write_loadings_table(tmp_path / "t.csv", np.zeros((1, 1001)), ["a"], {})
+    headings = (tmp_path / "t.csv").read_text().splitlines()[0].split(",")
+    assert headings[:3] == ["frame", "pc001_sd", "pc002_sd"]
+    assert headings[-1] == "pc1001_sd"
+    assert read_loadings_table(tmp_path / "t.csv").loadings_sd.shape == (1, 1001)
+
+
+def test_the_document_is_kept_and_says_what_the_table_is(tmp_path):
+    write_loadings_table(tmp_path / "t.csv", np.zeros((2, 3)), ["a", "b"], {"model_id": "m", "more": [1]})
+    document = read_loadings_table(tmp_path / "t.csv").document
+    assert document["format"] == "morphspace-loadings"
+    assert (document["version"], document["unit"]) == (1, "sd")
+    assert (document["frame_count"], document["component_count"]) == (2, 3)
+    assert (document["model_id"], document["more"]) == ("m", [1])
+
+
+def test_a_table_without_a_document_reads(tmp_path):
+    (tmp_path / "t.csv").write_text("\ufeffframe,pc001_sd\r\na,1\r\n\r\n")
+    table = read_loadings_table(tmp_path / "t.csv")
+    assert table.document is None
+    assert table.loadings_sd.tolist() == [[1.0]]
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("name,pc001_sd\na,1\n", "first column is 'name'"),
+        ("frame\na\n", "no component column"),
+        ("frame,pc001_sd,pc003_sd\na,1,2\n", "pc003_sd stands where pc002_sd"),
+        ("frame,pc002_sd\na,1\n", "pc002_sd stands where pc001_sd"),
+        ("frame,pc001_sd,pc001_sd\na,1,2\n", "pc001_sd appears twice"),
+        ("frame,pc001\na,1\n", "'pc001' is not a loading in SD"),
+        ("frame,pc001_sd,mood\na,1,2\n", "'mood' is not a loading in SD"),
+        ("frame,pc001_sd\na,1\nb,x\n", "row 3, column pc001_sd is 'x'"),
+        ("frame,pc001_sd\na,\n", "row 2, column pc001_sd is ''"),
+        ("frame,pc001_sd\na,nan\n", "row 2, column pc001_sd is 'nan'"),
+        ('frame,pc001_sd\na,"1,5"\n', "row 2, column pc001_sd is '1,5'"),
+        ("frame,pc001_sd\na,1,2\n", "row 2 has 3 cells, the first row names 2"),
+        ("frame,pc001_sd\na,1\na,2\n", "frame 'a' appears twice"),
+        ("frame;pc001_sd\na;1\n", "first column is 'frame;pc001_sd'"),
+    ],
+)
+def test_what_is_wrong_in_a_table_is_named(tmp_path, text, words):
+    (tmp_path / "t.csv").write_text(text)
+    with pytest.raises(BadInput, match=words) as caught:
+        read_loadings_table(tmp_path / "t.csv")
+    assert "t.csv" in str(caught.value)
+
+
+@pytest.mark.parametrize("content", [b"", b"\xff\xfe\x00", b'frame,"pc'])
+def test_what_is_no_table_is_refused(tmp_path, content):
+    (tmp_path / "t.csv").write_bytes(content)
+    for read in (read_loadings_table, read_metrics_table):
+        with pytest.raises(UnreadableFile, match=r"t\.csv"):
+            read(tmp_path / "t.csv")
+        with pytest.raises(UnreadableFile, match="No such file"):
+            read(tmp_path / "gone.csv")
+
+
+def test_a_document_of_another_table_is_refused(tmp_path):
+    write_loadings_table(tmp_path / "t.csv", np.zeros((2, 3)), ["a", "b"], {})
+    document = json.loads((tmp_path / "t.json").read_text())
+    (tmp_path / "t.json").write_text(json.dumps({**document, "component_count": 2}))
+    with pytest.raises(BadInput, match=r"component_count 2, .* has 3"):
+        read_loadings_table(tmp_path / "t.csv")
+
+
+def test_loadings_that_do_not_fit_are_refused(tmp_path):
+    for loadings, names, words in (
+        (np.zeros((2, 3)), ["a"], r"\(2, 3\) do not fit 1 frame names"),
+        (np.zeros(3), ["a", "b", "c"], "do not fit"),
+        (np.zeros((2, 3)), ["a", "a"], "'a' appears twice"),
+        (np.array([[0, np.nan]]), ["a"], "pc002_sd of frame a is nan"),
+    ):
+        with pytest.raises(BadInput, match=words):
+            write_loadings_table(tmp_path / "t.csv", loadings, names, {})
+    with pytest.raises(BadInput, match=r"\.csv"):
+        write_loadings_table(tmp_path / "t.json", np.zeros((1, 1)), ["a"], {})
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_measures_come_back_by_kind(tmp_path):
+    columns = {
+        "frame": ["1", "2"],
+        "distance_px": np.array([0.1, np.nan]),
+        "folds_percent": [np.float32(0.5), 1],
+        "method": ["map", "paper"],
+        "note": [None, ""],
+    }
+    write_metrics_table(tmp_path / "m.csv", columns)
+    table = read_metrics_table(tmp_path / "m.csv")
+    assert table["frame"] == ["1", "2"]
+    assert table["distance_px"][0] == 0.1
+    assert np.isnan(table["distance_px"][1])
+    assert table["folds_percent"] == [0.5, 1.0]
+    assert table["method"] == ["map", "paper"]
+    assert table["note"] == ["", ""]
+
+
+def test_columns_of_different_length_are_refused(tmp_path):
+    with pytest.raises(BadInput, match="column b has 1 rows, a has 2"):
+        write_metrics_table(tmp_path / "m.csv", {"a": [1, 2], "b": [1]})
+    with pytest.raises(BadInput, match="no columns"):
+        write_metrics_table(tmp_path / "m.csv", {})

@@ -1,0 +1,180 @@
+"""Laws of marked points: every program's file gives the same eyes and lip, whichever way its y counts."""
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose, assert_array_equal
+
+from morphspace.errors import BadInput, UnreadableFile
+from morphspace.io.sidecars import MarkedFaceframe, write_faceframe
+from morphspace.io.templates import TEMPLATES, read_marked_points, read_tps
+
+HEIGHT = 240
+POINTS = np.array([[78.25, 101.5], [124.0, 100.0], [100.5, 140.75]])
+
+
+@pytest.fixture
+def file(tmp_path):
+    def written(name, text):
+        path = tmp_path / name
+        path.write_text(text, encoding="utf-8")
+        return path
+
+    return written
+
+
+def rows(points, between="\t"):
+    return "".join(f"{x:g}{between}{y:g}\n" for x, y in points)
+
+
+def tps(points, tail="IMAGE=a.jpg\nID=0\nSCALE=0.5\n"):
+    return f"LM={len(points)}\n{rows(points, ' ')}{tail}"
+
+
+def up_from_bottom(points):
+    return np.column_stack([points[:, 0], HEIGHT - 1 - points[:, 1]])
+
+
+def templated(count):
+    """A template of `count` points in which every point is told apart, eyes and lip where a face has them."""
+    template = TEMPLATES[count]
+    points = np.column_stack([np.arange(count) * 0.5, np.full(count, 200.0)])
+    for places, (x, y) in zip((*template.eyes, template.philtrum, template.upper_lip), FACE, strict=True):
+        offsets = np.arange(len(places)) - (len(places) - 1) / 2
+        points[list(places)] = np.column_stack([x + offsets, y - offsets])
+    return points
+
+
+FACE = np.array([[78.0, 101], [124, 100], [100, 140], [101, 150]])  # eyes, philtrum, bottom of the upper lip
+
+
+@pytest.mark.parametrize(
+    ("name", "text"),
+    [
+        ("a.csv", "x,y\n" + rows(POINTS, ",")),
+        ("a.txt", rows(POINTS, " ")),
+        ("a.tem", "3\n" + rows(POINTS) + "1\n0\n3\n0 1 2\n"),
+        ("a.tps", tps(POINTS)),
+        ("negative.tps", tps(POINTS * (1, -1))),
+        ("upwards.tps", tps(up_from_bottom(POINTS))),
+        ("A.TPS", tps(POINTS).replace("\n", "\r\n").replace("LM=", "lm = ")),
+        ("curved.tps", tps(POINTS, "CURVES=1\nPOINTS=2\n1 2\n3 4\nID=a\n")),
+    ],
+)
+def test_every_program_gives_the_same_points(file, name, text):
+    assert_allclose(read_marked_points(file(name, text), HEIGHT).points, POINTS, atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    "content",
+    [
+        b"\xef\xbb\xbf" + tps(POINTS).encode(),
+        tps(POINTS, "IMAGE=M\xfcller.jpg\n").encode("latin-1"),
+        tps(POINTS, "IMAGE=M\xfcller.jpg\n").encode(),
+        tps(POINTS).replace("\n", "\r").encode(),
+        tps(POINTS).encode() + b"\x1a",
+    ],
+)
+def test_a_file_of_another_system_is_read(tmp_path, content):
+    (tmp_path / "a.tps").write_bytes(content)
+    assert_allclose(read_marked_points(tmp_path / "a.tps", HEIGHT).points, POINTS, atol=1e-9)
+    name = read_tps(tmp_path / "a.tps")[0][0]
+    assert name == ("M\xfcller.jpg" if b"ller" in content else "a.jpg")
+
+
+def test_our_own_faceframe_is_read_too(tmp_path):
+    write_faceframe(tmp_path / "a.json", MarkedFaceframe("a.png", POINTS))
+    marked = read_marked_points(tmp_path / "a.json", HEIGHT)
+    assert_array_equal(marked.points, POINTS)
+    assert marked.lip == "philtrum"
+
+
+@pytest.mark.parametrize(
+    ("name", "said"), [("negative.tps", "negative"), ("upwards.tps", "height of 240 px")]
+)
+def test_a_turned_y_is_said(file, name, said):
+    points = POINTS * (1, -1) if name == "negative.tps" else up_from_bottom(POINTS)
+    marked = read_marked_points(file(name, tps(points)), HEIGHT)
+    assert said in marked.notes[0] and name in marked.notes[0]
+    assert read_marked_points(file("down.tps", tps(POINTS)), HEIGHT).notes == ()
+
+
+@pytest.mark.parametrize("points", [POINTS * (1, -1), up_from_bottom(POINTS)])
+def test_other_files_are_turned_only_when_asked(file, points):
+    path = file("a.csv", rows(points, ","))
+    assert_array_equal(read_marked_points(path, HEIGHT).points, points)
+    assert_allclose(read_marked_points(path, HEIGHT, y_axis="up").points, POINTS, atol=1e-9)
+
+
+@pytest.mark.parametrize("count", sorted(TEMPLATES))
+@pytest.mark.parametrize("suffix", [".tem", ".csv", ".tps"])
+def test_a_template_gives_its_eyes_and_the_lip_that_was_asked_for(file, count, suffix):
+    points = templated(count)
+    head = {".tem": f"{count}\n", ".csv": "", ".tps": f"LM={count}\n"}[suffix]
+    path = file(f"a{suffix}", head + rows(points, " "))
+    for lip, place in ((None, 2), ("philtrum", 2), ("upper-lip", 3)):
+        marked = read_marked_points(path, HEIGHT, lip=lip)
+        assert_allclose(marked.points, FACE[[0, 1, place]], atol=1e-9)
+        assert marked.lip == (lip or "philtrum") and str(count) in marked.scheme
+
+
+def test_three_points_of_a_tem_are_webmorphs_unless_said_otherwise(file):
+    path = file("a.tem", "3\n" + rows(POINTS))
+    marked = read_marked_points(path, HEIGHT)
+    assert marked.lip == "upper-lip" and "--lip philtrum" in marked.notes[0]
+    marked = read_marked_points(path, HEIGHT, lip="philtrum")
+    assert marked.lip == "philtrum" and marked.notes == ()
+    assert read_marked_points(file("a.csv", rows(POINTS, ",")), HEIGHT).lip == "philtrum"
+
+
+def test_of_more_points_in_a_list_the_first_three_are_taken_and_that_is_said(file):
+    path = file("a.csv", rows(POINTS, ",") + "1,2\n3,4\n")
+    marked = read_marked_points(path, HEIGHT)
+    assert_array_equal(marked.points, POINTS)
+    assert "5 points" in marked.notes[0]
+
+
+def test_specimens_are_told_apart_by_their_picture(file):
+    path = file("two.tps", tps(POINTS) + tps(POINTS * 2, "ID=b\n") + tps(POINTS[:2], ""))
+    specimens = read_tps(path)
+    assert [name for name, _ in specimens] == ["a.jpg", "b", "3"]
+    assert_array_equal(specimens[1][1], POINTS * 2)
+    with pytest.raises(BadInput, match="3 specimens"):
+        read_marked_points(path, HEIGHT)
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "mentioned"),
+    [
+        ("a.tem", "178\n" + "1 2\n" * 178, "178 points, templates of 3, 68, 189"),
+        ("a.tps", "LM=5\n" + "1 2\n" * 5, "5 points"),
+        ("two.csv", "1,2\n3,4\n", "2 points"),
+        ("short.tps", "LM=3\n1 2\n3 4\nID=a\n", "line 1: 3 landmarks are announced"),
+        ("cut.tps", "LM=3\n1 2\n3 4\n", "line 1: 3 landmarks are announced"),
+        ("long.tps", "LM=3\n1 2\n3 4\n5 6\n7 8\n", "line 5: '7 8' follows"),
+        ("curve.tps", tps(POINTS, "CURVES=1\nPOINTS=4\n1 2\n3 4\nID=a\n"), "line 6: 4 points of a curve"),
+        ("swallow.tps", tps(POINTS, "CURVES=1\nPOINTS=999999999\n1 2\n") + tps(POINTS), "line 6: 999999999"),
+        ("wordy.tps", tps(POINTS, "CURVES=1\nPOINTS=1\nleft lip\n"), "line 7: 'left lip'"),
+        ("minus.tps", "LM=-3\n1 2\n3 4\n5 6\n", "line 1: 'LM=-3', LM= and a count"),
+        ("huge.tps", "LM=999999999\n1 2\n", "line 1: 999999999 landmarks are announced"),
+        ("endless.tps", "LM=" + "9" * 5000 + "\n1 2\n", r"line 1: 'LM=9{37}\.\.\.', LM= and a count"),
+        ("half.tps", "LM=2.5\n1 2\n3 4\n", "line 1: 'LM=2.5'"),
+        ("none.tps", "LM=0\nID=a\n", "0 points, templates of 3"),
+        ("solid3.tps", "LM=3\n1 2 3\n1 2 3\n1 2 3\n", "line 2: 3 numbers, 2 were expected"),
+        ("comma.tps", "LM=3\n1,5 2,5\n3 4\n5 6\n", "line 2: 4 numbers, 2 .* decimals with a point"),
+        ("solid.tps", "LM3=3\n1 2 3\n1 2 3\n1 2 3\n", "LM3=3"),
+        ("headless.tps", "1 2\n3 4\n", "line 1: '1 2', LM= and a count"),
+        ("word.tps", "LM=3\n1 2\n3 four\n5 6\n", "line 3: '3 four'"),
+        ("nan.tps", "LM=3\n1 2\n3 nan\n5 6\n", "line 3: .* not finite"),
+        ("a.png", "", "no points file by its name"),
+    ],
+)
+def test_what_cannot_be_used_is_named(file, name, text, mentioned):
+    with pytest.raises(BadInput, match=mentioned) as error:
+        read_marked_points(file(name, text), HEIGHT)
+    assert name in str(error.value) and "\n" not in str(error.value)
+
+
+def test_an_empty_and_a_missing_tps_are_unreadable(file, tmp_path):
+    for path in (file("empty.tps", "\n"), tmp_path / "nowhere.tps"):
+        with pytest.raises(UnreadableFile, match=path.name):
+            read_marked_points(path, HEIGHT)

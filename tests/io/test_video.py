@@ -1,0 +1,346 @@
+"""Laws of video: every frame in its place, colours by the file's own flags, exact codes where they are
+promised.
+"""
+
+import struct
+import subprocess
+import sys
+
+import av
+import cv2
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose, assert_array_equal
+
+from morphspace.errors import BadInput, SizeMismatch, UnreadableFile, UnwritableFile
+from morphspace.io.containers import check_length
+from morphspace.io.video import read_frames, video_info, write_video
+from morphspace.synthetic.warped import astronaut_face
+
+COUNT, HEIGHT, WIDTH = 40, 47, 61  # odd, and more frames than any encoder holds back
+
+
+def names_in(folder):
+    return sorted(path.name for path in folder.iterdir())
+
+
+def noise(count=COUNT, height=HEIGHT, width=WIDTH, seed=5):
+    rng = np.random.default_rng(seed)
+    return [(rng.integers(0, 256, (height, width, 3)) / 255).astype(np.float32) for _ in range(count)]
+
+
+def counted(count=COUNT):
+    """Frames that each show their own number as six grey bars, black or white."""
+    for index in range(count):
+        bits = [(index >> place) & 1 for place in range(6)]
+        yield np.repeat(np.repeat(np.array(bits, np.float32)[None, :, None], 16, axis=1), 32, axis=0).repeat(
+            3, axis=2
+        )
+
+
+def number_shown(image):
+    return sum(int(image[16, 16 * place + 8, 1] > 0.5) << place for place in range(6))
+
+
+@pytest.mark.parametrize("name", ["a.mkv", "a.mp4"])
+def test_lossless_round_trip_is_exact(tmp_path, name):
+    frames = noise()
+    assert write_video(tmp_path / name, iter(frames), encoding="lossless") == 0
+    back = list(read_frames(tmp_path / name))
+    assert len(back) == COUNT
+    for image, frame in zip(back, frames, strict=True):
+        assert image.dtype == np.float32
+        assert_array_equal(image, frame)
+
+
+@pytest.mark.parametrize(
+    ("name", "encoding"), [("a.mkv", "lossless"), ("a.mp4", "lossless"), ("a.mp4", "people")]
+)
+def test_frames_are_counted_and_shown_in_their_places(tmp_path, name, encoding):
+    path = tmp_path / name
+    write_video(path, counted(), encoding=encoding)
+    assert video_info(path).frame_count == COUNT
+    assert [number_shown(image) for image in read_frames(path)] == list(range(COUNT))
+    wanted = [39, 3, 3, 4, 20, 0, 39]
+    assert [number_shown(image) for image in read_frames(path, wanted)] == wanted
+    assert list(read_frames(path, [])) == []
+
+
+def test_a_shown_frame_is_near_its_source(tmp_path):
+    image = (
+        np.random.default_rng(2).random((3, 4, 3)).astype(np.float32).repeat(20, axis=0).repeat(20, axis=1)
+    )
+    write_video(tmp_path / "a.mp4", [image] * 3)
+    for back in read_frames(tmp_path / "a.mp4"):
+        inner = np.abs(back - image).reshape(3, 20, 4, 20, 3)[:, 4:-4, :, 4:-4]
+        assert inner.max() < 8 / 255  # codes: crf 14 beside hard edges; the edges themselves lose chroma
+
+
+def test_odd_sizes_are_padded_by_repeating(tmp_path):
+    image = np.zeros((47, 61, 3), np.float32)
+    image[:, -1] = 1
+    write_video(tmp_path / "a.mp4", [image] * 2)
+    assert video_info(tmp_path / "a.mp4").size == (62, 48)
+    (back,) = read_frames(tmp_path / "a.mp4", [1])
+    assert back[:, -2:].min() > 0.9
+    assert back[:, :50].max() < 0.1
+
+
+@pytest.mark.parametrize(
+    ("name", "encoding"), [("a.mkv", "lossless"), ("a.mp4", "lossless"), ("a.mp4", "people")]
+)
+def test_same_frames_give_the_same_bytes(tmp_path, name, encoding):
+    for folder in ("one", "two"):
+        write_video(tmp_path / folder / name, noise(count=12), encoding=encoding)
+    content = (tmp_path / "one" / name).read_bytes()
+    assert content == (tmp_path / "two" / name).read_bytes()
+    assert str(tmp_path).encode() not in content
+
+
+@pytest.mark.parametrize("rate_hz", [25.0, 30000 / 1001, 12.5, 60.0])
+@pytest.mark.parametrize("name", ["a.mkv", "a.mp4"])
+def test_frame_rate_survives(tmp_path, rate_hz, name):
+    write_video(tmp_path / name, noise(count=10), frame_rate_hz=rate_hz, encoding="lossless")
+    info = video_info(tmp_path / name)
+    assert info.frame_rate_hz == pytest.approx(
+        rate_hz, rel=1e-3
+    )  # Matroska keeps times in whole milliseconds
+    assert info.size == (WIDTH, HEIGHT)
+
+
+COLOURS = np.array(
+    [[[255, 0, 0], [0, 255, 0], [0, 0, 255], [200, 120, 90]], [[255] * 3, [0] * 3, [90] * 3, [30, 200, 180]]],
+    np.uint8,
+)
+FLAT = COLOURS.repeat(16, axis=0).repeat(16, axis=1)
+KR_KB = {1: (0.2126, 0.0722), 5: (0.299, 0.114), 6: (0.299, 0.114), 9: (0.2627, 0.0593), 0: (0.299, 0.114)}
+
+
+def write_yuv(path, matrix, range_flag, bits=8, curve=None):
+    """Write 4:4:4 planes computed here from ITU-R BT.601, BT.709 or BT.2020, flagged as told."""
+    kr, kb = KR_KB[matrix]
+    red, green, blue = np.moveaxis(FLAT / 255.0, 2, 0)
+    luma = kr * red + (1 - kr - kb) * green + kb * blue
+    chroma = (blue - luma) / (2 * (1 - kb)), (red - luma) / (2 * (1 - kr))
+    step = 2 ** (bits - 8)
+    if range_flag == 2:
+        top = 256 * step - 1
+        planes = [luma * top, *(each * top + 128 * step for each in chroma)]
+    else:
+        planes = [(16 + 219 * luma) * step, *((128 + 224 * each) * step for each in chroma)]
+    kind = np.uint8 if bits == 8 else np.uint16
+    with av.open(str(path), "w") as container:
+        stream = container.add_stream("ffv1", rate=25)
+        stream.height, stream.width = FLAT.shape[:2]
+        stream.pix_fmt = "yuv444p" if bits == 8 else "yuv444p10le"
+        context = stream.codec_context
+        frame = av.VideoFrame(stream.width, stream.height, stream.pix_fmt)
+        for plane, values in zip(frame.planes, planes, strict=True):
+            rows = np.zeros((stream.height, plane.line_size // kind().itemsize), kind)
+            rows[:, : stream.width] = np.rint(np.clip(values, 0, 256 * step - 1))
+            plane.update(rows.tobytes())
+        if matrix:
+            context.colorspace = frame.colorspace = matrix
+        if range_flag:
+            context.color_range = frame.color_range = range_flag
+        if curve:
+            context.color_trc = frame.color_trc = curve
+        container.mux(stream.encode(frame))
+        container.mux(stream.encode(None))
+
+
+@pytest.mark.parametrize("matrix", KR_KB)
+@pytest.mark.parametrize("range_flag", [0, 1, 2])
+@pytest.mark.parametrize("bits", [8, 10])
+def test_colour_follows_the_flags(tmp_path, matrix, range_flag, bits):
+    write_yuv(tmp_path / "a.mkv", matrix, range_flag, bits)
+    (image,) = read_frames(tmp_path / "a.mkv")
+    assert_allclose(image * 255, FLAT, atol=1.5)  # codes: rounding to 8-bit planes and back
+
+
+@pytest.mark.parametrize(("curve", "name"), [(16, "PQ"), (18, "HLG")])
+def test_hdr_is_refused(tmp_path, curve, name):
+    write_yuv(tmp_path / "a.mkv", 9, 1, 10, curve)
+    with pytest.raises(BadInput, match=rf"a\.mkv is HDR video \({name}\)"):
+        list(read_frames(tmp_path / "a.mkv"))
+
+
+@pytest.mark.parametrize(
+    ("clockwise", "matrix"), [(90, (0, 1, -1, 0)), (180, (-1, 0, 0, -1)), (270, (0, -1, 1, 0))]
+)
+def test_the_rotation_of_phones_is_applied(tmp_path, clockwise, matrix):
+    path = tmp_path / "a.mp4"
+    write_video(path, [FLAT / np.float32(255)], encoding="lossless")
+    content = bytearray(path.read_bytes())
+    box = content.find(b"tkhd") + 4
+    place = box + 4 + (32 if content[box] else 20) + 16  # ISO/IEC 14496-12, 8.3.2
+    a, b, c, d = (value << 16 for value in matrix)
+    content[place : place + 36] = struct.pack(">9i", a, b, 0, c, d, 0, 0, 0, 1 << 30)
+    path.write_bytes(content)
+    (image,) = read_frames(path)
+    upright = np.rot90(FLAT, -clockwise // 90)
+    assert_array_equal(np.rint(image * 255), upright)
+    assert video_info(path).size == (upright.shape[1], upright.shape[0])
+
+
+@pytest.mark.parametrize(
+    ("name", "encoding"),
+    [("a.mkv", "lossless"), ("a.mp4", "lossless"), ("a.mp4", "people"), ("a.mov", "people")],
+)
+@pytest.mark.parametrize("share", [0, 0.05, 0.5, 0.9, 0.99])
+def test_truncated_video_is_named(tmp_path, name, encoding, share):
+    path = tmp_path / name
+    write_video(path, noise(count=6), encoding=encoding)
+    content = path.read_bytes()
+    path.write_bytes(content[: int(len(content) * share)])
+    with pytest.raises(UnreadableFile) as caught:
+        video_info(path)
+    assert str(path) in str(caught.value)
+    with pytest.raises(UnreadableFile):
+        list(read_frames(path))
+
+
+def test_truncated_avi_is_named(tmp_path):
+    path = tmp_path / "a.avi"
+    with av.open(str(path), "w") as container:
+        stream = container.add_stream("mjpeg", rate=25)
+        stream.width, stream.height, stream.pix_fmt = 64, 32, "yuvj420p"
+        for _ in range(9):
+            container.mux(stream.encode(av.VideoFrame.from_ndarray(FLAT, format="rgb24")))
+        container.mux(stream.encode(None))
+    check_length(path)
+    assert video_info(path).frame_count == 9
+    content = path.read_bytes()
+    path.write_bytes(content[: len(content) * 2 // 3])
+    with pytest.raises(UnreadableFile, match=f"cut short: {len(content)} bytes expected"):
+        video_info(path)
+
+
+def test_what_is_not_a_video_is_named(tmp_path):
+    (tmp_path / "text.mp4").write_text("this is no video")
+    (tmp_path / "noise.mkv").write_bytes(bytes(range(256)) * 20)
+    for name, words in (
+        ("text.mp4", "not a video"),
+        ("noise.mkv", "not a video"),
+        ("gone.mp4", "No such file"),
+    ):
+        with pytest.raises(UnreadableFile, match=words):
+            video_info(tmp_path / name)
+        with pytest.raises(UnreadableFile, match=words):
+            list(read_frames(tmp_path / name, [0]))
+    with pytest.raises(UnreadableFile):
+        video_info(tmp_path)
+
+
+def test_sound_alone_is_refused(tmp_path):
+    with av.open(str(tmp_path / "a.mkv"), "w") as container:
+        stream = container.add_stream("pcm_s16le", rate=8000, layout="mono")
+        sound = av.AudioFrame.from_ndarray(np.zeros((1, 800), np.int16), format="s16", layout="mono")
+        sound.sample_rate = 8000
+        container.mux(stream.encode(sound))
+        container.mux(stream.encode(None))
+    with pytest.raises(UnreadableFile, match="no picture track"):
+        video_info(tmp_path / "a.mkv")
+
+
+def test_frames_beyond_the_end_are_refused(tmp_path):
+    write_video(tmp_path / "a.mkv", noise(count=3), encoding="lossless")
+    for indices in ([3], [0, 7, 1], [-1]):
+        with pytest.raises(BadInput, match=rf"a\.mkv: frame {max(indices, key=abs)} was asked for"):
+            list(read_frames(tmp_path / "a.mkv", indices))
+
+
+def test_clipped_values_are_counted(tmp_path):
+    frames = noise(count=3)
+    frames[1][0, 0] = (1.5, -0.5, 1.0001)
+    assert write_video(tmp_path / "a.mkv", frames, encoding="lossless") == 2
+
+
+def test_frames_that_are_no_video_are_refused_and_nothing_is_left(tmp_path):
+    good = noise(count=2)
+    broken = [good[0], np.full_like(good[0], np.nan)]
+    for frames, error, words in (
+        ([], BadInput, "no frames"),
+        ([good[0], good[1][:-1]], SizeMismatch, "frame 1 is 61 x 46, frame 0 is 61 x 47"),
+        (broken, BadInput, "frame 1: 8601 of its values are not finite"),
+        ([good[0][..., 0]], BadInput, "frame 0: its shape"),
+    ):
+        for name, encoding in (("a.mkv", "lossless"), ("a.mp4", "people")):
+            with pytest.raises(error, match=words):
+                write_video(tmp_path / name, frames, encoding=encoding)
+    for name, arguments in (
+        ("a.avi", {}),
+        ("a.mov", {"encoding": "lossless"}),
+        ("a.mp4", {"encoding": "best"}),
+        ("a.mp4", {"frame_rate_hz": 0}),
+        ("a.mp4", {"frame_rate_hz": float("nan")}),
+    ):
+        with pytest.raises(BadInput):
+            write_video(tmp_path / name, good, **arguments)
+    assert names_in(tmp_path) == []
+
+
+def test_a_damaged_source_is_not_blamed_on_the_target(tmp_path):
+    (tmp_path / "bad.mkv").write_text("no video")
+    with pytest.raises(UnreadableFile, match=r"bad\.mkv"):
+        write_video(tmp_path / "new.mp4", read_frames(tmp_path / "bad.mkv"))
+
+
+FULL_DISK = """
+import resource, sys
+import numpy as np
+from morphspace.errors import UnwritableFile
+from morphspace.io.video import write_video
+path, encoding = sys.argv[1:3]
+frames = [np.random.default_rng(seed).random((64, 64, 3)).astype(np.float32) for seed in range(12)]
+write_video(path, frames, encoding=encoding)
+with open(path, "rb") as file:
+    old = file.read()
+for limit in (0, 100, len(old) // 2, len(old) - 100, len(old) - 1):
+    resource.setrlimit(resource.RLIMIT_FSIZE, (limit, resource.RLIM_INFINITY))
+    try:
+        write_video(path, frames, encoding=encoding, frame_rate_hz=24.0)
+        print("written in spite of the limit", limit)
+    except UnwritableFile as error:
+        print("refused", error)
+    with open(path, "rb") as file:
+        assert file.read() == old, limit
+"""
+
+
+@pytest.mark.parametrize(
+    ("name", "encoding"), [("a.mkv", "lossless"), ("a.mp4", "lossless"), ("a.mp4", "people")]
+)
+def test_full_disk_leaves_the_old_file_intact(tmp_path, name, encoding):
+    path = tmp_path / name
+    done = subprocess.run(
+        [sys.executable, "-c", FULL_DISK, path, encoding], capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 0, done.stderr + done.stdout
+    lines = done.stdout.splitlines()
+    assert sum(line.startswith(f"refused cannot write {path}") for line in lines) == len(lines) == 5, (
+        done.stdout
+    )
+    assert names_in(tmp_path) == [name]
+
+
+def test_a_file_in_place_of_the_folder_is_named(tmp_path):
+    (tmp_path / "file").write_text("")
+    with pytest.raises(UnwritableFile, match=r"cannot write .*file/a\.mp4"):
+        write_video(tmp_path / "file" / "a.mp4", noise(count=1))
+
+
+def test_many_frames_of_a_photograph_give_the_same_bytes_every_time(tmp_path):
+    """Long enough for the encoder to look ahead; its rate control by blocks gave other bytes nearly every time."""
+    photograph = cv2.resize(astronaut_face()[0], (400, 240), interpolation=cv2.INTER_AREA)
+    frames = []
+    for number in range(72):
+        moved = np.float32([[1, 0, 4 * np.sin(number / 5)], [0, 1, 3 * np.cos(number / 7)]])
+        frames.append(
+            np.clip(cv2.warpAffine(photograph, moved, (400, 240), borderMode=cv2.BORDER_REPLICATE), 0, 1)
+        )
+    written = set()
+    for _ in range(3):
+        write_video(tmp_path / "a.mp4", frames)
+        written.add((tmp_path / "a.mp4").read_bytes())
+    assert len(written) == 1

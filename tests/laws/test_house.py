@@ -1,0 +1,24 @@
+"""The house as it is described: CONTRIBUTING shows the layers that import-linter checks."""
+
+import re
+import tomllib
+from pathlib import Path
+
+ROOT = Path(__file__).parents[2]
+
+
+def test_contributing_shows_the_layers_of_the_contract():
+    contracts = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["importlinter"]["contracts"]
+    (layers,) = (each["layers"] for each in contracts if each["type"] == "layers")
+    shown = re.search(r"```\n(cli\b.*?)```", (ROOT / "CONTRIBUTING.md").read_text(), re.DOTALL)
+    assert shown is not None and shown[1].split("\n")[:-1] == layers
+
+
+def test_every_room_stands_in_a_layer():
+    contracts = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["importlinter"]["contracts"]
+    (layers,) = (each["layers"] for each in contracts if each["type"] == "layers")
+    named = {room for layer in layers for room in re.split(r" [:|] ", layer)}
+    package = ROOT / "morphspace"
+    found = {path.stem for path in package.glob("*.py") if not path.stem.startswith("__")}
+    found |= {path.parent.name for path in package.glob("*/__init__.py")}
+    assert named == found

@@ -1,0 +1,123 @@
+"""Laws of mixed colours: a face that was shown keeps its own, and no colour lies beyond those that were shown."""
+
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+from morphspace.face.faceframe import FaceFrame
+from morphspace.model.landmarks import LANDMARKS, LandmarkRegression, landmark_places, ring_gaps
+from morphspace.model.morph import parts_of, vector_of
+from morphspace.transfer.colours import Texturing
+
+FRAME = FaceFrame((20.0, 30.0), (41.0, 29.0), (30.0, 44.0))
+
+
+@pytest.fixture(params=["by the warp", "by landmarks"])
+def person(model, request):
+    keyed = model.with_faceframe(FRAME)
+    if request.param == "by the warp":
+        return keyed
+    per_sd = np.random.default_rng(7).standard_normal((model.rank, len(LANDMARKS), 2))
+    mean, errors = np.full((len(LANDMARKS), 2), 30.0), np.ones(len(LANDMARKS))
+    weights = per_sd / model.sd[:, None, None]
+    return keyed.with_landmarks(LandmarkRegression(mean, weights, errors, 12, 1.0, False))
+
+
+def own(model, loadings):
+    """The texture of loadings as the components have it, relative to the mean's."""
+    return parts_of(model.basis.expand(loadings), *model.mask.shape)[0]
+
+
+def test_a_training_face_keeps_its_own_colours(person):
+    texturing = Texturing(person)
+    for row in person.training.values:
+        assert_allclose(texturing.change(row), own(person, row), atol=1e-5)
+
+
+def test_the_mean_face_keeps_its_own_colours(person):
+    assert_allclose(Texturing(person).change(np.zeros(person.rank)), 0, atol=1e-7)
+
+
+def test_no_colour_lies_beyond_those_that_were_shown(person):
+    texturing = Texturing(person)
+    shown = np.stack([np.zeros_like(person.mean.texture), *(own(person, row) for row in texturing.faces)])
+    least, most = shown.min(axis=0) - 1e-5, shown.max(axis=0) + 1e-5
+    rng = np.random.default_rng(3)
+    for loadings in rng.standard_normal((20, person.rank)) * 5 * person.sd:
+        changed = texturing.change(loadings)
+        assert (changed >= least).all() and (changed <= most).all()
+    far = own(person, 5 * person.sd)
+    assert (far < least).any() or (far > most).any()  # the components themselves go beyond
+
+
+def test_colours_follow_the_loadings_without_a_jump(person):
+    """Steps a quarter as long change a quarter as much: a jump would stay as it is."""
+    texturing = Texturing(person)
+    one, other = 1.7 * person.training.values[2], 1.7 * person.training.values[7]
+
+    def largest(count):
+        steps = [texturing.change((1 - t) * one + t * other) for t in np.linspace(0, 1, count)]
+        return max(np.abs(after - before).max() for before, after in pairwise(steps))
+
+    assert largest(1601) < 0.3 * largest(401)
+
+
+def test_the_warp_stays_that_of_the_loadings(person):
+    loadings = 4 * person.sd
+    moved = parts_of(Texturing(person).offset(loadings), *person.mask.shape)[1]
+    assert_allclose(moved, parts_of(person.basis.expand(loadings), *person.mask.shape)[1], atol=1e-4)
+
+
+def test_parts_share_every_pixel_between_them(person):
+    """What the parts hold of each component adds up to that component."""
+    total = np.zeros((person.rank, person.mask.size, 3))
+    for part in Texturing(person).parts:
+        total[:, part.places] += part.colours.reshape(person.rank, -1, 3)
+    whole = person.basis.components[:, : 3 * person.mask.size].reshape(total.shape)
+    assert_allclose(total, whole, atol=1e-6)
+
+
+def test_the_picture_is_the_sum_of_its_parts(person):
+    texturing, loadings = Texturing(person), 1.5 * person.training.values[3]
+    total = np.zeros((person.mask.size, 3))
+    for part in texturing.parts:
+        total[part.places] += (texturing.mixed(part, loadings) @ part.colours).reshape(-1, 3)
+    assert_allclose(texturing.change(loadings).reshape(-1, 3), total, atol=1e-5)
+    places = np.concatenate([part.places for part in texturing.parts])
+    assert len(np.unique(places)) < len(places)  # some pixels belong to two
+
+
+@pytest.mark.parametrize("person", ["by landmarks"], indirect=True)
+def test_the_mouth_is_chosen_by_lips_and_the_eyes_by_lids(person):
+    """Two loadings: one moves the lips alone, the other the lids. Each part asks for what moves in it."""
+    weights = np.zeros_like(person.landmarks.weights)
+    for component, groups in ((0, ("outer lips", "inner lips")), (1, ("lids", "brows"))):
+        for group in groups:
+            weights[component, landmark_places(group)] = person.landmarks.weights[
+                component, landmark_places(group)
+            ]
+    told = person.with_landmarks(replace(person.landmarks, weights=weights))
+    texturing = Texturing(told)
+    upper, lower, _ = texturing.parts
+    assert not upper.shape[0].any() and upper.shape[1].any()
+    assert not lower.shape[1].any() and lower.shape[0].any()
+
+
+def test_gaps_are_between_points_that_face_each_other():
+    angles = 2 * np.pi * np.arange(20) / 20
+    ring = np.column_stack([-np.cos(angles), -np.sin(angles)])[
+        None
+    ]  # corner, over the top, corner, back below
+    gaps = ring_gaps(ring)[0]
+    assert gaps.shape == (9, 2)
+    assert_allclose(gaps[:, 0], 0, atol=1e-12)
+    assert_allclose(gaps[:, 1], 2 * np.sin(angles[1:10]), atol=1e-12)
+
+
+def test_the_offset_is_laid_out_as_the_model_computes(person):
+    vector = Texturing(person).offset(person.training.values[1])
+    texture, displacement = parts_of(vector, *person.mask.shape)
+    assert np.array_equal(vector, vector_of(texture, displacement)) and vector.dtype == np.float32

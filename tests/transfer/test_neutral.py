@@ -1,0 +1,104 @@
+"""Laws of what counts as rest: like means are left alone, unlike ones are led to the frame nearest to the other."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose, assert_array_equal
+
+from morphspace.errors import BadInput
+from morphspace.face.faceframe import FaceFrame
+from morphspace.face.mesh import LIPS, POINT_COUNT
+from morphspace.model.keypoints import DetectedFaceframe
+from morphspace.transfer.neutral import FAR_APART, automatic_recentring, means_apart, recentring_on
+
+FRAME = FaceFrame((20.0, 30.0), (41.0, 29.0), (30.0, 44.0))
+EYES_PX = float(np.hypot(21, 1))
+
+
+def marked(model, down_px=0.0):
+    """The model with mesh points whose lips lie on the slit of its mouth, the lower one `down_px` lower."""
+    points = np.full((POINT_COUNT, 2), 30.0)
+    points[list(LIPS)] = np.column_stack([np.linspace(24, 36, len(LIPS)), np.full(len(LIPS), 49.0)])
+    lower = list(LIPS[::2])
+    points[lower, 1] = 52.0 + down_px
+    found = DetectedFaceframe(FRAME, np.zeros(3), points, 40, 40)
+    return model.with_faceframe(found.faceframe, found.origin)
+
+
+def test_a_mean_is_not_apart_from_itself_and_lips_count_in_eye_distances(model):
+    here = marked(model)
+    assert means_apart(here, here) == pytest.approx(0, abs=1e-9)
+    apart = means_apart(here, marked(model, 4.0))
+    assert apart == pytest.approx(
+        4.0 / np.sqrt(2) / EYES_PX, rel=0.01
+    )  # half of the points, root mean square
+
+
+def test_a_moved_and_larger_faceframe_changes_nothing(model):
+    here = marked(model)
+    points = np.asarray(here.provenance["keypoints"]["points"]) * 0.5 + 3
+    found = DetectedFaceframe(FRAME.moved(FRAME.points * 0.5 + 3), np.zeros(3), points, 40, 40)
+    small = model.with_faceframe(found.faceframe, found.origin)
+    assert means_apart(here, small) == pytest.approx(0, abs=0.001)
+
+
+def test_without_mesh_points_nothing_is_known(model):
+    plain = model.with_faceframe(FRAME)
+    assert means_apart(plain, marked(model)) is None and automatic_recentring(plain, marked(model)) is None
+    assert recentring_on(plain, plain, "frame_001").apart_before is None
+
+
+def test_like_means_are_left_alone(model):
+    assert automatic_recentring(marked(model), marked(model, 0.3)) is None
+
+
+def test_an_open_mean_is_reached_by_the_frame_that_opens_as_far(model):
+    """The target's mean is what the source looks like in one frame: that frame becomes the source's rest."""
+    from morphspace.grid import warp
+
+    source = marked(model)
+    points = np.asarray(source.provenance["keypoints"]["points"])
+    openest = int(
+        np.argmax(
+            [
+                warp.move_points(model.expand(row).displacement, points)[LIPS[0], 1]
+                for row in model.training.values
+            ]
+        )
+    )
+    target_points = points.copy()
+    target_points[list(LIPS)] += (
+        2
+        * (warp.move_points(model.expand(model.training.values[openest]).displacement, points) - points)[
+            list(LIPS)
+        ]
+    )
+    found = DetectedFaceframe(FRAME, np.zeros(3), target_points, 40, 40)
+    target = model.with_faceframe(found.faceframe, found.origin)
+    assert means_apart(source, target) > FAR_APART
+    origin = automatic_recentring(source, target)
+    assert origin.source_frame == model.training.frame_names[openest] and origin.target_frame is None
+    assert_array_equal(origin.source, model.training.values[openest])
+    assert_array_equal(origin.target, 0)
+    assert origin.apart_after < 0.7 * origin.apart_before
+
+
+def test_no_frame_much_nearer_leaves_the_means(model):
+    still = replace(marked(model), training=replace(model.training, values=0 * model.training.values))
+    assert means_apart(still, marked(model, 6.0)) > FAR_APART
+    assert automatic_recentring(still, marked(model, 6.0)) is None
+
+
+def test_frames_are_named_with_or_without_suffix(model):
+    names = ("a.png", "b.png", "b.jpg", *model.training.frame_names[3:])
+    here = replace(marked(model), training=replace(model.training, frame_names=names))
+    origin = recentring_on(here, here, "a", "b.jpg")
+    assert (origin.source_frame, origin.target_frame) == ("a.png", "b.jpg")
+    assert_allclose(origin.source, model.training.values[0])
+    assert_allclose(origin.target, model.training.values[2])
+    assert recentring_on(here, here, "b.png").target_frame is None
+    with pytest.raises(BadInput, match="2 training frames of drawn are called 'b'"):
+        recentring_on(here, here, "b")
+    with pytest.raises(BadInput, match=r"no training frame 'c.*a.png to frame_011"):
+        recentring_on(here, here, "c")

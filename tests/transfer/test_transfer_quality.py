@@ -1,0 +1,91 @@
+"""What a mouth is asked to open beyond what it ever showed: counted in eye distances, from the landmark regressions."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from morphspace.face.faceframe import FaceFrame
+from morphspace.model.landmarks import LANDMARKS, LandmarkRegression, landmark_places
+from morphspace.transfer.mimicry import mimic, offset_of
+from morphspace.transfer.quality import Reach, openings_of, reach_of
+from morphspace.verbs.mimic_table import BEYOND, WIDER, FrameMade
+
+FRAME = FaceFrame((20.0, 30.0), (40.0, 30.0), (30.0, 44.0))
+EYES_PX = 20.0
+PER_SD_PX = 4.0  # the lower lip goes down by as much for an SD of the first component
+
+
+@pytest.fixture
+def talker(model):
+    """The drawn model; its first component opens the mouth."""
+    weights = np.zeros((model.rank, len(LANDMARKS), 2))
+    places = landmark_places("inner lips")
+    weights[0, places.start + 11 : places.stop, 1] = PER_SD_PX / model.sd[0]
+    mean, errors = np.full((len(LANDMARKS), 2), 30.0), np.ones(len(LANDMARKS))
+    return model.with_faceframe(FRAME).with_landmarks(
+        LandmarkRegression(mean, weights, errors, 12, 1.0, False)
+    )
+
+
+def opening(model, sd):
+    return offset_of(model, np.array([sd * model.sd[0]]))
+
+
+def beyond(source, target, sd, gain=1.0, rest=None):
+    offset = opening(source, sd)
+    made = mimic(source, target, "map", gain=gain)(offset)
+    return reach_of(source, target, gain, rest)(offset, made).opening_beyond
+
+
+def test_it_is_what_was_asked_less_the_widest_that_was_shown(talker):
+    most = (talker.training.values[:, 0] / talker.sd[0]).max()
+    for sd in (-1.0, 0.5, most, most + 2):
+        assert beyond(talker, talker, sd) == pytest.approx((sd - most) * PER_SD_PX / EYES_PX, abs=1e-4)
+    assert beyond(talker, talker, 1.0, gain=3.0) == pytest.approx(beyond(talker, talker, 3.0), abs=1e-4)
+
+
+def test_no_training_face_is_beyond_its_own_range(talker):
+    openings = openings_of(talker, talker)
+    for row in talker.training.values:
+        assert openings.beyond(offset_of(talker, row), 1.0) < 1e-4
+
+
+def test_a_face_whose_loadings_are_known_opens_as_far(talker):
+    offset, loadings, rest = opening(talker, 2.0), np.array([2.0 * talker.sd[0]]), opening(talker, 0.7)
+    loadings = np.pad(loadings, (0, talker.rank - 1))
+    made = mimic(talker, talker, "map")(offset)
+    reach = reach_of(talker, talker, 1.5, (rest, rest))
+    read, known = reach(offset, made), reach(offset, made, loadings)
+    assert known.opening_beyond == pytest.approx(read.opening_beyond, abs=1e-4)
+    assert reach(offset, made, 2 * loadings).opening_beyond > read.opening_beyond + 0.3
+
+
+def test_one_neutral_frame_for_both_changes_nothing(talker):
+    rest = opening(talker, 0.7)
+    assert beyond(talker, talker, 2.5, rest=(rest, rest)) == pytest.approx(
+        beyond(talker, talker, 2.5), abs=1e-4
+    )
+
+
+def test_a_larger_face_asks_for_as_much_in_its_own_eye_distances(talker):
+    points = (FRAME.points - FRAME.points.mean(0)) * 0.5 + FRAME.points.mean(0)
+    small = talker.with_faceframe(FRAME.moved(points))
+    most = beyond(talker, talker, 0.0) / beyond(talker, small, 0.0)
+    assert most == pytest.approx(
+        0.5, abs=1e-4
+    )  # the same pixels are twice the eye distance of the small face
+    asked = beyond(talker, small, 1.0) - beyond(talker, small, 0.0)
+    assert asked == pytest.approx(PER_SD_PX / EYES_PX, abs=1e-4)
+
+
+def test_without_landmarks_it_is_not_known(talker):
+    for source, target in ((talker.with_landmarks(None), talker), (talker, talker.with_landmarks(None))):
+        assert beyond(source, target, 1.0) is None
+
+
+def test_a_mouth_asked_wider_than_ever_shown_is_flagged(talker):
+    made = mimic(talker, talker, "map")(opening(talker, 1.0))
+    for wider, flagged in ((None, False), (WIDER, False), (WIDER + 1e-3, True)):
+        frame = FrameMade((0.0,), made.quality, Reach(0.0, 1.0, wider), None, None, 0, "")
+        assert (BEYOND in replace(frame).flags) is flagged
