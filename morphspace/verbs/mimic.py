@@ -25,7 +25,8 @@ from morphspace.outcome import Outcome, check_folder, picture_names, versions, w
 from morphspace.report.mimic_page import MimicryShown, mimic_page
 from morphspace.steps import Steps
 from morphspace.storage import write_text
-from morphspace.transfer.mimicry import METHODS, WITH_REST, Method, auto_gain, mimic
+from morphspace.transfer.mimicry import METHODS, WITH_REST, Method, auto_gain, mimic, offset_of
+from morphspace.transfer.neutral import AUTOMATIC, neutral_names, rest_of
 from morphspace.transfer.quality import reach_of
 from morphspace.verbs import mimic_advice
 from morphspace.verbs.mimic_folder import (
@@ -39,7 +40,6 @@ from morphspace.verbs.mimic_folder import (
     told_what_stays,
 )
 from morphspace.verbs.mimic_frames import FinishedFrames, frame_steps, video_steps
-from morphspace.verbs.mimic_neutral import AUTOMATIC, neutral_names, rest_of
 from morphspace.verbs.mimic_sources import (
     Driver,
     UsedModel,
@@ -79,7 +79,7 @@ class MimicRequest:
     "auto": `guided` where both models know their landmarks, else `transfer`; `gain` multiplies the loadings, "auto" so
     that the target moves as far as the source (`mimic.auto_gain`), None for auto with `guided` and `transfer` and 1
     with the others; `max_sd` bounds each of them; `components` uses the target's first so many, None for all; `neutral`
-    says what counts as rest (`mimic_neutral.rest_of`).
+    says what counts as rest (`neutral.rest_of`).
     """
 
     source: str
@@ -151,7 +151,13 @@ def _steps(
         else asked_gain
     )
     make = mimic(source.model, shown_target, method, gain=gain, max_sd=request.max_sd, origin=rest.origin)
-    reach = reach_of(source.model, shown_target, gain, rest.offsets(source.model, shown_target))
+    resting = None
+    if rest.origin is not None:
+        resting = (
+            offset_of(source.model, rest.origin.source),
+            offset_of(shown_target, rest.origin.target),
+        )
+    reach = reach_of(source.model, shown_target, gain, resting)
     looking = detect if asked is not None else own_detector_of(source.model, driver) or detect
     looks = mimic_advice.looks_for_faces(driver, source.model, target.model, looking)
     settings = {

@@ -12,7 +12,7 @@ from morphspace.face.detector import Detector
 from morphspace.face.mesh import LOWER_LIP_TOP, MOUTH_CORNERS, UPPER_LIP_BOTTOM, FacePoints
 from morphspace.model.encode import STRANGE
 from morphspace.model.model import MorphModel
-from morphspace.verbs.mimic_neutral import Rest
+from morphspace.transfer.neutral import Rest
 from morphspace.verbs.mimic_sources import Driver, how_to_get_networks
 from morphspace.verbs.mimic_table import BEYOND, FOLDS, NO_FACE, OUT_OF_RANGE, TURNED, FrameMade, rounded
 

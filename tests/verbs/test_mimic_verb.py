@@ -36,11 +36,12 @@ from morphspace.model.model import Loadings, MorphModel, inner_product, load_mod
 from morphspace.model.morph import Morph, parts_of, vector_of
 from morphspace.report.mimic_page import HEADINGS, LEFT_OUT
 from morphspace.steps import WORKERS, result_of
+from morphspace.transfer import neutral
 from morphspace.transfer.mimicry import METHODS, Quality, auto_gain, mimic, offset_of
 from morphspace.transfer.neutral import Recentring
 from morphspace.transfer.quality import Reach, reach_of
 from morphspace.verbs import mimic as verb
-from morphspace.verbs import mimic_frames, mimic_neutral, mimic_sources
+from morphspace.verbs import mimic_frames, mimic_sources
 from morphspace.verbs.mimic import MimicRequest
 from morphspace.verbs.mimic_frames import FinishedFrames, frame_steps
 from morphspace.verbs.mimic_sources import Driver
@@ -736,8 +737,8 @@ def test_the_means_are_moved_where_they_lie_apart_and_not_where_it_is_forbidden(
     work, actor, other, monkeypatch
 ):
     moved = Recentring(actor.training.values[5], np.zeros(2), "frame_005", None, 0.09, 0.04)
-    monkeypatch.setattr(mimic_neutral, "automatic_recentring", lambda source, target: moved)
-    monkeypatch.setattr(mimic_neutral, "means_apart", lambda source, target: 0.09)
+    monkeypatch.setattr(neutral, "automatic_recentring", lambda source, target: moved)
+    monkeypatch.setattr(neutral, "means_apart", lambda source, target: 0.09)
     notes = run(work, method="paper", max_sd=LOOSE).warnings
     assert_allclose(read_loadings_table(work / "out" / "loadings.csv").loadings_sd[5], 0, atol=1e-6)
     assert any("on frame frame_005" in note and "9.0% of the eye distance" in note for note in notes)
@@ -745,9 +746,9 @@ def test_the_means_are_moved_where_they_lie_apart_and_not_where_it_is_forbidden(
     notes = run(work, method="paper", max_sd=LOOSE, neutral="mean").warnings
     assert not any("re-centred" in note for note in notes)
     assert any("9.0% of the eye distance apart: what is neutral" in note for note in notes)
-    monkeypatch.setattr(mimic_neutral, "automatic_recentring", lambda source, target: None)
+    monkeypatch.setattr(neutral, "automatic_recentring", lambda source, target: None)
     assert any("no frame of drawn comes much nearer" in note for note in run(work).warnings)
-    monkeypatch.setattr(mimic_neutral, "means_apart", lambda source, target: 0.03)
+    monkeypatch.setattr(neutral, "means_apart", lambda source, target: 0.03)
     assert not any("eye distance apart" in note for note in run(work).warnings)
     run(work, method="paper", max_sd=LOOSE, neutral="mean")
     assert np.abs(read_loadings_table(work / "out" / "loadings.csv").loadings_sd[5]).max() > 0.01
