@@ -1,12 +1,10 @@
-"""A moved grid as triangles: which of them covers a pixel, and where in it (ours).
+"""Find the triangle of a moved grid that covers a pixel, and the position inside it (ours).
 
-Each cell of the grid is cut from its upper right to its lower left corner, and each triangle moves with its corners. To
-invert the movement is to find, for every pixel, the triangle that covers it. Two ways lead there. From a guess one can
-walk: the triangle that is met says, by its own linear map, where the pixel would have come from; that lies in it, or in
-the next triangle to ask. Most pixels arrive at once. Where the movement folds, several triangles cover a pixel, and all
-that might are searched. A pixel that several cover is covered by one that is turned over too, since the movement
-takes the grid, with a ring around it that stays outside, once around every pixel: so only pixels near triangles
-that are turned over need the search.
+Each cell of the grid is cut from its upper right to its lower left corner, and each triangle moves with its corners.
+To invert the field is to find, for every pixel, the triangle that covers it. From a guess one can walk: the triangle
+at the guess maps the pixel back linearly; the result lies in that triangle, or in the next one to try. Most pixels
+arrive at once. Where the field folds, several triangles cover a pixel; at least one of them is flipped. Only pixels
+near flipped triangles therefore need a search through all triangles that might cover them.
 """
 
 from __future__ import annotations
@@ -23,18 +21,18 @@ EDGE_TOLERANCE = 1e-4  # cells; a pixel on a shared edge belongs to both triangl
 MARGIN_PX = (
     2.0  # beyond the largest displacement: the ring of cells that continues the field outside the grid
 )
-STEPS = 8  # of a walk; a smooth field needs two, and who has not arrived then is searched for
+STEPS = 8  # of a walk; a smooth field needs two, and the pixels that are left then are searched
 STRETCH = 6  # the row of `MovedGrid.triangles` that holds the determinant
 
 Source = tuple[AnyArray, AnyArray, AnyArray, AnyArray]
-"""Where the right-angled corner of each triangle stood before it moved, and how far its edges reached: x, dx, y, dy."""
+"""The right-angled corner of each triangle before it moved, and the extent of its edges: x, dx, y, dy in px."""
 
 
 @dataclass(frozen=True, eq=False)
 class MovedGrid:
     """The triangles of a finite displacement (h, w, 2) px, with a ring of cells that moves with the edge.
 
-    The ring stands far outside the grid, so that the cells cover every pixel. Triangles are numbered cell by cell, row
+    The ring lies far outside the grid, so that the cells cover every pixel. Triangles are numbered cell by cell, row
     by row, the upper ones first.
     """
 
@@ -42,7 +40,7 @@ class MovedGrid:
 
     @cached_property
     def steps(self) -> tuple[AnyArray, AnyArray]:
-        """Where the columns (w + 2,) and rows (h + 2,) of vertices stood before they moved, px."""
+        """The positions of the columns (w + 2,) and rows (h + 2,) of vertices before they moved, px."""
         height, width = self.displacement.shape[:2]
         margin = np.float32(np.abs(self.displacement).max(initial=0) + MARGIN_PX)
         return tuple(
@@ -52,7 +50,7 @@ class MovedGrid:
 
     @cached_property
     def moved(self) -> tuple[AnyArray, AnyArray]:
-        """Where the vertices are, x and y px, (h + 2, w + 2) each."""
+        """The positions of the vertices after they moved, x and y px, (h + 2, w + 2) each."""
         step_x, step_y = self.steps
         ringed = cv2.copyMakeBorder(self.displacement, 1, 1, 1, 1, cv2.BORDER_REPLICATE)
         return ringed[..., 0] + step_x, ringed[..., 1] + step_y[:, None]
@@ -63,7 +61,7 @@ class MovedGrid:
 
         With o the right-angled corner and e, f the moved edges along x and y, a pixel q lies at
         along = A (q - o).x + B (q - o).y, beside = C (q - o).x + D (q - o).y. The rows are o.x, o.y, A, B, C, D and
-        the determinant e x f, how much the triangle is stretched. A triangle without area gets zeros and is never hit.
+        the determinant e x f, the stretch of the triangle. A triangle without area has zeros and is never hit.
         """
         x, y = self.moved
         out = np.empty((7, 2, *(size - 1 for size in x.shape)), np.float32)
@@ -89,18 +87,18 @@ class MovedGrid:
 
     @cached_property
     def spans(self) -> tuple[AnyArray, AnyArray]:
-        """How wide each column of cells (w + 1,) and how high each row of them (h + 1,) was, px."""
+        """The width of each column of cells (w + 1,) and the height of each row (h + 1,) before they moved, px."""
         step_x, step_y = self.steps
         return np.diff(step_x), np.diff(step_y)
 
     @cached_property
     def folded(self) -> AnyArray:
-        """The cells of which a triangle is turned over or without area, (n,)."""
+        """The cells with a flipped triangle or one without area, (n,)."""
         return np.flatnonzero(self.triangles[STRETCH].min(axis=0) <= 0)
 
     @cached_property
     def where_folds(self) -> AnyArray:
-        """Which pixels lie in the box around a folded cell, (h, w) bool."""
+        """The pixels in the boxes around folded cells, (h, w) bool."""
         out = np.zeros(self.displacement.shape[:2], bool)
         if len(self.folded):
             _, x, y = self._candidates(self.folded)
@@ -108,9 +106,14 @@ class MovedGrid:
         return out
 
     def walked(self, guess: tuple[AnyArray, AnyArray]) -> tuple[Displacement, AnyArray]:
-        """Walk from where each pixel is guessed to come from, x and y px (h, w), to a triangle that covers it.
+        """Walk from a guess of each pixel's origin, x and y px (h, w), to a triangle that covers the pixel.
 
-        Gives how far off the place is that it comes from, (h, w, 2) px, and which pixels arrived (h, w) bool.
+        Returns
+        -------
+        back : array (h, w, 2) float32
+            The displacement from each pixel to its origin, px.
+        arrived : array (h, w) bool
+            The pixels whose walk ended in a covering triangle.
         """
         height, width = self.displacement.shape[:2]
         back = np.empty((height * width, 2), np.float32)
@@ -137,9 +140,14 @@ class MovedGrid:
         return back.reshape(height, width, 2), known.reshape(height, width)
 
     def searched(self, wanted: AnyArray) -> tuple[Displacement, AnyArray]:
-        """Ask every triangle that might cover one of the `wanted` pixels (h, w) bool; the most stretched wins.
+        """Try every triangle that might cover one of the `wanted` pixels (h, w) bool; the most stretched triangle wins.
 
-        Gives how far off the place is that they come from, (h, w, 2) px, 0 elsewhere, and which are covered (h, w).
+        Returns
+        -------
+        back : array (h, w, 2) float32
+            The displacement from each wanted pixel to its origin, px; 0 elsewhere.
+        covered : array (h, w) bool
+            The pixels that a triangle covers.
         """
         height, width = wanted.shape
         cell, qx, qy = self._candidates(self._around(wanted))
@@ -163,7 +171,7 @@ class MovedGrid:
         return back.reshape(height, width, 2), covered.reshape(height, width)
 
     def _met(self, x: AnyArray, y: AnyArray) -> tuple[AnyArray, Source]:
-        """Give the number and the source of the triangle that holds each place (n,) before it moves."""
+        """Return the number and the source of the triangle that holds each position (n,) before it moves."""
         (step_x, step_y), (wide, high) = self.steps, self.spans
         column = np.clip(x + 1, 0, len(wide) - 0.5).astype(np.intp)  # what is positive is cut off downwards
         row = np.clip(y + 1, 0, len(high) - 0.5).astype(np.intp)
@@ -183,7 +191,7 @@ class MovedGrid:
         return row, (from_x, edge_x, from_y, edge_y)
 
     def _source(self, number: AnyArray) -> Source:
-        """Give the source of triangles (n,) by their numbers."""
+        """Return the source of triangles (n,) by their numbers."""
         (step_x, step_y), (wide, high) = self.steps, self.spans
         lower, cell = np.divmod(number, self.triangles.shape[2])
         row, column = np.divmod(cell, len(wide))
@@ -197,16 +205,16 @@ class MovedGrid:
 
     @cached_property
     def boxes(self) -> tuple[AnyArray, AnyArray, AnyArray, AnyArray]:
-        """Give the box of pixels around each moved cell: first x, last x, first y, last y, (cells,) each.
+        """The box of pixels around each moved cell: first x, last x, first y, last y, (cells,) each.
 
-        A cell without a pixel has a last before its first.
+        In a cell without a pixel the last lies before the first.
         """
         height, width = self.displacement.shape[:2]
         x, y = self.moved
         return *_pixels_across(x, width), *_pixels_across(y, height)
 
     def _candidates(self, cells: AnyArray) -> tuple[AnyArray, AnyArray, AnyArray]:
-        """Give every (cell, pixel x, pixel y) where the pixel lies in the box around one of the `cells`."""
+        """Return every (cell, pixel x, pixel y) with the pixel inside the box around one of the `cells`."""
         first_x, last_x, first_y, last_y = (np.take(side, cells) for side in self.boxes)
         wide, high = last_x - first_x + 1, last_y - first_y + 1
         count = np.where((wide > 0) & (high > 0), wide * high, 0)
@@ -216,7 +224,7 @@ class MovedGrid:
         return cells[busy], first_x[busy] + column, first_y[busy] + row
 
     def _around(self, wanted: AnyArray) -> AnyArray:
-        """Give the cells whose boxes hold a wanted pixel, (n,)."""
+        """Return the cells whose boxes hold a wanted pixel, (n,)."""
         first_x, last_x, first_y, last_y = self.boxes
         before = cv2.integral(wanted.astype(np.uint8))
         width = before.shape[1]
@@ -227,13 +235,13 @@ class MovedGrid:
 
 
 def _unmoved(source: Source, along: AnyArray, beside: AnyArray) -> tuple[AnyArray, AnyArray]:
-    """Give the place along a triangle's edges before it moved, x and y px."""
+    """Return the position along a triangle's edges before it moved, x and y px."""
     from_x, edge_x, from_y, edge_y = source
     return from_x + along * edge_x, from_y + beside * edge_y
 
 
 def _place(rows: AnyArray, number: AnyArray, qx: AnyArray, qy: AnyArray) -> tuple[AnyArray, AnyArray]:
-    """Give how far along both edges of its triangle each pixel (n,) lies, 0 to 1 inside."""
+    """Return the position of each pixel (n,) along both edges of its triangle, 0 to 1 inside."""
     ox, oy, a, b, c, d = (np.take(row, number) for row in rows[:STRETCH])
     np.subtract(qx, ox, out=ox)
     np.subtract(qy, oy, out=oy)
@@ -251,7 +259,7 @@ def _is_inside(along: AnyArray, beside: AnyArray) -> AnyArray:
 
 
 def _pixels_across(corners: AnyArray, size: int) -> tuple[AnyArray, AnyArray]:
-    """Give the first and the last pixel along one axis that each cell can cover, (cells,) each, within the picture."""
+    """Return the first and the last pixel along one axis that each cell can cover, (cells,) each, within the image."""
     above, below = corners[:-1], corners[1:]
     least, most = np.minimum(above, below), np.maximum(above, below)
     least = np.minimum(least[:, :-1], least[:, 1:]) - EDGE_TOLERANCE

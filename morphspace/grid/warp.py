@@ -1,14 +1,14 @@
-"""Sampling, inverting and composing displacement fields: the geometry under every morph.
+"""Sample, invert and compose displacement fields: the geometry under every morph.
 
 A displacement u lives on a grid and says that the point p is found at p + u(p). `sample` reads an image there (the
-backward warp); `render` does the opposite and puts each grid point where the field sends it (the forward warp). The
-forward warp is exact: the grid is cut into triangles, the triangles are moved, and each output pixel asks which
-triangle covers it. An iteration to a fixed point would lose most of an opening mouth, because there the field
-stretches one line of skin over many pixels and the iteration does not contract.
+backward warp). `render` puts each grid point where the field sends it (the forward warp). The forward warp is exact:
+the grid is cut into triangles, the triangles are moved, and each output pixel asks which triangle covers it. A
+fixed-point iteration would lose most of an opening mouth: there the field stretches one line of skin over many
+pixels, and the iteration does not contract.
 
 Images are read with the interpolating cubic B-spline (Unser, Splines: a perfect fit for signal and image processing,
-IEEE Signal Processing Magazine 1999), which reproduces polynomials to the third order; OpenCV's own cubic does not
-reproduce a ramp and its Lanczos rounds the position.
+IEEE Signal Processing Magazine 1999), which reproduces polynomials up to the third order. OpenCV's own cubic does not
+reproduce a ramp, and its Lanczos filter rounds positions.
 """
 
 from __future__ import annotations
@@ -29,18 +29,38 @@ FIXED_POINT_STEPS = 2  # before the triangles are asked; more find few pixels mo
 
 
 def sample(image: Image, displacement: Displacement) -> Image:
-    """Read `image` at p + u(p) for each grid point p, by interpolating cubic B-spline.
+    """Read an image at p + u(p) for each grid point p, by interpolating cubic B-spline.
 
-    Parameters: image (H, W, c) or (H, W) float32; displacement u (h, w, 2) px. Points outside the image take the
-    value of its nearest edge point. Returns (h, w, c), the image's own range plus the small overshoot a sharp edge
-    gives. Zero displacement returns the image to 1e-6.
+    Parameters
+    ----------
+    image : array (H, W, c) or (H, W) float32
+    displacement : array (h, w, 2) float32
+        u in px, to the right and down. Points outside the image take the value of its nearest edge point.
+
+    Returns
+    -------
+    array (h, w, c) or (h, w) float32
+        The image's range plus the small overshoot of a sharp edge. Zero displacement returns the image to 1e-6.
+
+    Raises
+    ------
+    BadInput
+        If the displacement is not finite.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> ramp = np.arange(5, dtype=np.float32).repeat(4).reshape(5, 4)
+    >>> half_down = np.zeros((5, 4, 2), np.float32) + (0, 0.5)
+    >>> sample(ramp, half_down)[1:3, 0].round(3).tolist()
+    [1.5, 2.5]
     """
     x, y = positions(displacement)
     return sample_at(image, x, y)
 
 
 def sample_at(image: Image, x: AnyArray, y: AnyArray) -> Image:
-    """Read `image` (H, W, c) at the points (x, y) px, arrays of one shape (h, w), by cubic B-spline; see `sample`."""
+    """Read an image (H, W, c) or (H, W) at the points (x, y) px, arrays of one shape (h, w), as `sample` does."""
     _check_positions(x, y)
     if image.ndim == 2:
         return spline_reader([image])(x, y)[0]
@@ -49,10 +69,11 @@ def sample_at(image: Image, x: AnyArray, y: AnyArray) -> Image:
 
 
 def spline_reader(planes: Sequence[AnyArray] | AnyArray) -> Callable[[AnyArray, AnyArray], AnyArray]:
-    """Give the function that reads c planes (H, W) by cubic B-spline at finite points (x, y) px (h, w): (c, h, w).
+    """Return the function that reads c planes (H, W) at finite points (x, y) px, by cubic B-spline.
 
-    Three or four planes are looked up together, as four channels, which OpenCV does in little more than the time of
-    one. The points are taken in strips of rows that stay in the processor's cache.
+    The function takes two arrays (h, w) and returns (c, h, w). Three or four planes are read together as four
+    channels, which OpenCV does in little more than the time of one. The points are read in strips of rows that fit
+    the processor's cache.
     """
     height, width = planes[0].shape
     count = len(planes)
@@ -98,7 +119,7 @@ def _read_pairs(image: AnyArray, pairs: tuple[AnyArray, ...], targets: AnyArray)
 
 
 def _check_positions(x: AnyArray, y: AnyArray) -> None:
-    """Raise where a position is not finite: OpenCV would reflect it at the edges for ever."""
+    """Raise `BadInput` if a position is not finite: OpenCV would reflect it at the edges for ever."""
     if not (np.isfinite(x).all() and np.isfinite(y).all()):
         raise BadInput(
             "a displacement holds values that are not finite: look at the image or the loadings it came from"
@@ -106,7 +127,7 @@ def _check_positions(x: AnyArray, y: AnyArray) -> None:
 
 
 def spline_coefficients(image: Image) -> Image:
-    """Give the cubic B-spline coefficients that interpolate `image`, mirrored at its edges; same shape."""
+    """Return the cubic B-spline coefficients that interpolate an image (H, W, c), mirrored at its edges; same shape."""
     taps = np.arange(-SPLINE_TAPS, SPLINE_TAPS + 1)
     kernel = -6 * SPLINE_POLE / (1 - SPLINE_POLE**2) * SPLINE_POLE ** np.abs(taps)
     kernel /= kernel.sum()  # a constant stays that constant
@@ -154,9 +175,14 @@ def _linear(image: AnyArray, x: AnyArray, y: AnyArray) -> AnyArray:
 
 
 def sample_field(field: AnyArray, displacement: Displacement) -> AnyArray:
-    """Read a field (H, W, c) at p + u(p) linearly, its edge values continued outside; the field of a smooth thing.
+    """Read a field (H, W, c) at p + u(p) linearly, with its edge values continued outside.
 
     Displacements are piecewise linear between grid points everywhere in morphspace, so this reading is exact.
+
+    Raises
+    ------
+    BadInput
+        If the displacement is not finite.
     """
     x, y = positions(displacement)
     _check_positions(x, y)
@@ -165,7 +191,7 @@ def sample_field(field: AnyArray, displacement: Displacement) -> AnyArray:
 
 
 def positions(displacement: Displacement) -> tuple[AnyArray, AnyArray]:
-    """Give p + u(p) as two (h, w) float32 arrays, x and y px: Nagle's absolute coding of a warp (section 2)."""
+    """Return p + u(p) as two arrays (h, w) float32, x and y in px: Nagle's absolute coding of a warp (section 2)."""
     height, width = displacement.shape[:2]
     x = displacement[..., 0] + np.arange(width, dtype=np.float32)
     y = displacement[..., 1] + np.arange(height, dtype=np.float32)[:, None]
@@ -173,27 +199,66 @@ def positions(displacement: Displacement) -> tuple[AnyArray, AnyArray]:
 
 
 def compose(outer: Displacement, inner: Displacement) -> Displacement:
-    """Give the displacement that goes through `inner` first, then `outer`: v(p) + u(p + v(p)), (h, w, 2) px."""
+    """Compose two displacements: through `inner` first, then `outer`, v(p) + u(p + v(p)), (h, w, 2) px.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> right, down = np.zeros((4, 4, 2), np.float32) + (1, 0), np.zeros((4, 4, 2), np.float32) + (0, 2)
+    >>> compose(down, right)[0, 0].tolist()
+    [1.0, 2.0]
+    """
     out: Displacement = inner + sample_field(outer, inner)
     return out
 
 
 def render(texture: Image, displacement: Displacement) -> Image:
-    """Put each point p of `texture` (h, w, c) at p + u(p): the forward warp, by exact rasterisation.
+    """Put each point p of a texture (h, w, c) at p + u(p): the forward warp, by exact rasterisation.
 
-    Where the field folds, the point shown is the one `invert` chooses.
+    Where the field folds, `invert` chooses which point is visible.
+
+    Parameters
+    ----------
+    texture : array (h, w, c) float32
+    displacement : array (h, w, 2) float32, px
+
+    Returns
+    -------
+    array (h, w, c) float32
+
+    Raises
+    ------
+    BadInput
+        If the displacement is not finite.
+
+    References
+    ----------
+    Nagle et al., section 2, steps 1 and 2 (the rendering of a morph); the rasterisation is ours.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> dot = np.zeros((5, 5, 1), np.float32)
+    >>> dot[2, 1] = 1
+    >>> moved = render(dot, np.zeros((5, 5, 2), np.float32) + (2, 1))
+    >>> np.argwhere(moved[..., 0] > 0.5).tolist()
+    [[3, 3]]
     """
     return sample(texture, invert(displacement))
 
 
 def invert(displacement: Displacement) -> Displacement:
-    """Give v with q + v(q) = p wherever p + u(p) = q: the inverse of the field, (h, w, 2) px.
+    """Invert a displacement: return v with q + v(q) = p wherever p + u(p) = q, (h, w, 2) px.
 
-    The grid is read as triangles (each cell cut from its upper right to its lower left corner), linear in between; the
-    inverse is exact on them. Outside the grid the field goes on with its edge values. Where the field folds, several
-    points land on one pixel: the one whose triangle is most stretched wins, and a triangle turned over (determinant
-    <= 0) loses against any that is not. A pixel that no triangle covers takes the value of the nearest that is
-    covered. Raises `BadInput` where the field is not finite.
+    The grid is read as triangles, each cell cut from its upper right to its lower left corner and linear in between;
+    the inverse is exact on them. Outside the grid the field continues with its edge values. Where the field folds,
+    several points land on one pixel: the most stretched triangle wins, and a flipped triangle (determinant <= 0)
+    loses against any other. A pixel that no triangle covers takes the value of the nearest covered pixel.
+
+    Raises
+    ------
+    BadInput
+        If the displacement is not finite.
     """
     _check_positions(displacement[..., 0], displacement[..., 1])
     displacement = displacement.astype(np.float32, copy=False)
@@ -231,7 +296,10 @@ def _filled_from_nearest(field: AnyArray, missing: AnyArray) -> AnyArray:
 
 
 def determinants(displacement: Displacement) -> AnyArray:
-    """Give the smaller determinant of each cell's two triangles, (h - 1, w - 1): 1 at rest, <= 0 where it folds."""
+    """Return the smaller determinant of each cell's two triangles, (h - 1, w - 1).
+
+    It is 1 without a displacement, and <= 0 where the field folds.
+    """
     x, y = displacement[..., 0], displacement[..., 1]
     ab_x, ab_y = x[:, 1:] - x[:, :-1], y[:, 1:] - y[:, :-1]
     ac_x, ac_y = x[1:] - x[:-1], y[1:] - y[:-1]
@@ -245,14 +313,14 @@ def determinants(displacement: Displacement) -> AnyArray:
 
 
 def fold_fraction(displacement: Displacement, mask: Mask) -> float:
-    """Give the share of grid cells inside the mask (> 0.5 at the cell's upper left) that the field turns over."""
+    """Return the share of folded grid cells, of those whose upper left corner lies inside the mask (> 0.5)."""
     inside = mask[:-1, :-1] > 0.5
     cells = int(inside.sum())
     return float((determinants(displacement)[inside] <= 0).sum() / cells) if cells else 0.0
 
 
 def affine_displacement(affine: Affine, height: int, width: int) -> Displacement:
-    """Give the field u with p + u(p) = A p + t on a (height, width) grid, (h, w, 2) px."""
+    """Return the field u with p + u(p) = A p + t on a grid of (height, width) px, (h, w, 2) px."""
     x, y = np.arange(width, dtype=np.float64), np.arange(height, dtype=np.float64)[:, None]
     linear = affine[:, :2] - np.eye(2)
     out = np.empty((height, width, 2), np.float32)
@@ -262,23 +330,30 @@ def affine_displacement(affine: Affine, height: int, width: int) -> Displacement
 
 
 def inverse_affine(affine: Affine) -> Affine:
-    """Give the affine (2, 3) that undoes `affine`."""
+    """Invert an affine (2, 3)."""
     linear = np.linalg.inv(affine[:, :2])
     return np.column_stack([linear, -linear @ affine[:, 2]])
 
 
 def chain_affine(outer: Affine, inner: Affine) -> Affine:
-    """Give the affine (2, 3) that applies `inner` first, then `outer`."""
+    """Compose two affines (2, 3): `inner` first, then `outer`."""
     return np.column_stack([outer[:, :2] @ inner[:, :2], outer[:, :2] @ inner[:, 2] + outer[:, 2]])
 
 
 def apply_affine(affine: Affine, points: Points) -> Points:
-    """Move points (m, 2) px by an affine (2, 3)."""
+    """Move points (m, 2) px by an affine (2, 3).
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> apply_affine(np.array([[2.0, 0, 1], [0, 2, 0]]), np.array([[3.0, 4]])).tolist()
+    [[7.0, 8.0]]
+    """
     return points @ affine[:, :2].T + affine[:, 2]
 
 
 def move_points(displacement: Displacement, points: Points) -> Points:
-    """Move points (m, 2) px on the grid by the field: p + u(p), u read linearly."""
+    """Move points (m, 2) px on the grid by a field (h, w, 2): p + u(p), with u read linearly."""
     x = points[None, :, 0].astype(np.float32)
     y = points[None, :, 1].astype(np.float32)
     height, width = displacement.shape[:2]
