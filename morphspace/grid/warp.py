@@ -51,9 +51,9 @@ def sample(image: Image, displacement: Displacement) -> Image:
     --------
     >>> import numpy as np
     >>> ramp = np.arange(5, dtype=np.float32).repeat(4).reshape(5, 4)
-    >>> half_down = np.zeros((5, 4, 2), np.float32) + (0, 0.5)
-    >>> sample(ramp, half_down)[1:3, 0].round(3).tolist()
-    [1.5, 2.5]
+    >>> one_down = np.zeros((5, 4, 2), np.float32) + (0, 1)
+    >>> sample(ramp, one_down)[:, 0].round(3).tolist()
+    [1.0, 2.0, 3.0, 4.0, 4.0]
     """
     x, y = positions(displacement)
     return sample_at(image, x, y)
