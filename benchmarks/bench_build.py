@@ -27,7 +27,7 @@ from morphspace.verbs.build_model import BuildModelRequest
 BUILD_CLIP = "lp_d18"
 COUNTS = (100, 400, 1600)
 MEMORY_SIZE = (100, 120)  # (w, h) px; small, so that 1600 frames take minutes
-MEMORY_FLOW = "dis-medium"
+MEMORY_FLOW = "fast"
 STAGES = ("reference", "flow", "starts", "morphs", "components", "report", "end")
 
 

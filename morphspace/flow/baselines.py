@@ -43,7 +43,7 @@ def dis(reference: Image, frame: Image, start: Displacement | None = None) -> Di
     height, width = reference.shape[:2]
     if min(height, width) < DIS_LEAST_PX:
         raise BadInput(
-            f"dis needs {DIS_LEAST_PX} px a side, the pictures have {width}x{height} px: choose dis-medium or another"
+            f"dis needs {DIS_LEAST_PX} px a side, the pictures have {width}x{height} px: choose fast or another"
         )
     estimator = cv2.DISOpticalFlow.create(cv2.DISOPTICAL_FLOW_PRESET_MEDIUM)
     estimator.setFinestScale(0)
@@ -56,7 +56,10 @@ def dis(reference: Image, frame: Image, start: Displacement | None = None) -> Di
 
 
 def dis_medium(reference: Image, frame: Image, start: Displacement | None = None) -> Displacement:
-    """Estimate the flow by dense inverse search as its preset "medium" has it: rough, and fast."""
+    """Estimate the flow by dense inverse search with OpenCV's preset "medium".
+
+    Registration and the search for the reference use it, and the benchmarks as a peer; it is no method of `--flow`.
+    """
     estimator = cv2.DISOpticalFlow.create(cv2.DISOPTICAL_FLOW_PRESET_MEDIUM)
     return _searched(estimator, reference, frame, start)
 

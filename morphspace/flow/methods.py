@@ -12,7 +12,6 @@ METHODS: dict[str, FlowMethod] = {
     "paper": paper.method,
     "deepflow": baselines.stock(baselines.deepflow),
     "dis": baselines.stock(baselines.dis),
-    "dis-medium": baselines.stock(baselines.dis_medium),
     "tvl1": baselines.stock(baselines.tvl1),
 }
 
@@ -26,7 +25,10 @@ def named(name: str, backend: str = DEFAULT_BACKEND) -> FlowMethod:
     usual with a method that has no choice of it.
     """
     if name not in METHODS:
-        raise BadInput(f"there is no flow called {name!r}: choose one of {', '.join(METHODS)}")
+        raise BadInput(
+            f"the flow is {name!r}; expected one of {', '.join(METHODS)}. Choose one of these; a model that was built "
+            "with another flow must be built again"
+        )
     if backend == DEFAULT_BACKEND:
         return METHODS[name]
     if name not in presets.PRESETS:

@@ -5,7 +5,7 @@ from __future__ import annotations
 OURS: tuple[str, ...] = ("fast", "balanced", "accurate", "paper")
 """Presets of our own estimator, the quickest first, and the scheme of Nagle's authors as reconstructed."""
 
-STOCK: tuple[str, ...] = ("deepflow", "dis", "dis-medium", "tvl1")
+STOCK: tuple[str, ...] = ("deepflow", "dis", "tvl1")
 """Estimators from OpenCV and scikit-image, for comparison."""
 
 NAMES = OURS + STOCK

@@ -28,7 +28,7 @@ from morphspace.synthetic import make_actors
 
 ROOT = Path(__file__).resolve().parents[2]
 HEAVY = {"cv2", "scipy", "skimage", "torch", "OpenImageIO", "av", "numpy", "tqdm"}
-FAST = ["--flow", "dis-medium", "--warp-weight", "0.02"]
+FAST = ["--flow", "fast", "--warp-weight", "0.02"]
 
 
 def run(*words: object) -> Result:
@@ -182,9 +182,7 @@ def test_info_names_the_keypoints_or_says_how_to_mark_them(model: Path, tmp_path
 
 def test_render_refuses_a_table_of_another_model(actor: Path, model: Path, tmp_path: Path):
     other = tmp_path / "b.morph"
-    assert (
-        run("build-model", actor, "-o", other, "--flow", "dis-medium", "--warp-weight", "0.05").exit_code == 0
-    )
+    assert run("build-model", actor, "-o", other, "--flow", "fast", "--warp-weight", "0.05").exit_code == 0
     assert run("encode", other, actor, "-o", tmp_path / "b.csv").exit_code == 0
     refused(
         run("render", model, tmp_path / "b.csv", "-o", tmp_path / "out"),
@@ -226,7 +224,7 @@ def test_a_clip_without_motion_gives_rank_0_and_its_mean_renders(actor: Path, tm
     clip.mkdir()
     for index in range(4):
         (clip / f"{index}.png").write_bytes((actor / "frame_0000.png").read_bytes())
-    result = run("build-model", clip, "-o", tmp_path / "a.morph", "--flow", "dis-medium")
+    result = run("build-model", clip, "-o", tmp_path / "a.morph", "--flow", "fast")
     assert result.exit_code == 0
     assert "rank 0" in result.stderr and "identical to the reference" in result.stderr
     still = load_model(tmp_path / "a.morph")

@@ -180,9 +180,7 @@ def model_path(actors, request, tmp_path_factory):
         clip = bare
         given = {"warp_weight": 0.02, "registration": "none", "crop": (2, 2, 44, 56)}
         given["reference"] = frames[2].name
-    result_of(
-        build_model.run(BuildModelRequest((str(clip),), folder / "a.morph", flow="dis-medium", **given))
-    )
+    result_of(build_model.run(BuildModelRequest((str(clip),), folder / "a.morph", flow="fast", **given)))
     return folder / "a.morph"
 
 

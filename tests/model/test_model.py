@@ -88,6 +88,14 @@ def test_a_rendered_face_is_encoded_as_itself(model):
     )  # SD; opening and smile share pixels
 
 
+def test_a_model_whose_flow_is_gone_still_renders_but_does_not_encode(model):
+    old = replace(model, flow="dis-medium")
+    image = old.render(np.zeros(3))
+    assert_array_equal(image, model.render(np.zeros(3)))
+    with pytest.raises(BadInput, match=r"flow is 'dis-medium'.*must be built again"):
+        old.encode(image)
+
+
 def test_a_model_of_rank_zero_encodes_every_face_as_no_loadings(model):
     encoded = model.truncate(0).encode(model.reference)
     assert encoded.values.shape == (1, 0)

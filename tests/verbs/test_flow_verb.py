@@ -40,7 +40,7 @@ from morphspace.verbs.flow_pair import flow_between, turned_round
 ROOT = Path(__file__).resolve().parents[2]
 HEIGHT, WIDTH = 48, 64
 SHIFT_PX = 2  # to the right, from A to B
-FAST = ("--preset", "dis-medium")
+FAST = ("--preset", "fast")
 
 
 def run(*words):
@@ -88,9 +88,9 @@ class Asked:
 
 @pytest.fixture
 def asked(monkeypatch):
-    """The method behind the name dis-medium in this test."""
+    """The method behind the name fast in this test."""
     method = Asked(field_of(SHIFT_PX, 0))
-    monkeypatch.setitem(methods.METHODS, "dis-medium", method)
+    monkeypatch.setitem(methods.METHODS, "fast", method)
     return method
 
 
@@ -151,7 +151,7 @@ def test_what_is_written_is_what_the_method_found(folder, asked, suffix):
 
 def test_the_figures_are_those_of_the_field(folder, asked):
     figures = told(folder / "a.png", folder / "b.png", "-o", folder / "o.flo", *FAST)
-    assert figures["size"] == [WIDTH, HEIGHT] and figures["preset"] == "dis-medium"
+    assert figures["size"] == [WIDTH, HEIGHT] and figures["preset"] == "fast"
     assert figures["displacement_mean_px"] == figures["displacement_largest_px"] == SHIFT_PX
     assert figures["folds_percent"] == 0 and figures["confidence_mean"] == 0.5
     assert figures["rmse_after"] < 0.5 * figures["rmse_before"]  # the rim of two columns is not seen in B
@@ -228,7 +228,7 @@ def marked(folder, monkeypatch):
     for name, points in (("a", CORNERS), ("b", CORNERS + np.array([SHIFT_PX, 0]))):
         (folder / f"{name}.csv").write_text("x,y\n" + "".join(f"{x},{y}\n" for x, y in points))
     method = Obedient(field_of(0, 1))
-    monkeypatch.setitem(methods.METHODS, "dis-medium", method)
+    monkeypatch.setitem(methods.METHODS, "fast", method)
     return method
 
 
@@ -379,7 +379,7 @@ def test_the_record_fits_the_schema_and_its_digests_the_files(folder, asked):
     schema = json.loads((ROOT / "data_spec" / "record.schema.json").read_text())
     jsonschema.Draft202012Validator(schema).validate(record)
     assert record["verb"] == "flow" and record["settings"] == {
-        "preset": "dis-medium",
+        "preset": "fast",
         "backend": "opencv",
         "both": True,
     }
@@ -652,7 +652,7 @@ def test_the_bench_gives_the_errors_of_every_scene_and_their_mean(scenes, asked)
     result = done("--bench", scenes, "-o", scenes / "t.csv", *FAST)
     assert "passed over, without a truth: Bare" in result.stderr
     table = read_metrics_table(scenes / "t.csv")
-    assert table["scene"] == ["Half", "Partly", "Two", "mean"] and table["preset"] == 4 * ["dis-medium"]
+    assert table["scene"] == ["Half", "Partly", "Two", "mean"] and table["preset"] == 4 * ["fast"]
     assert_allclose(table["aee_px"], [0.5, 0, 2, 2.5 / 3], atol=1e-6)
     assert_allclose(table["r1_percent"], [0, 0, 100, 100 / 3])
     angles = [np.degrees(np.arccos(5 / np.sqrt(5 * (5 + dv * dv)))) for dv in (0.5, 0, 2)]
@@ -662,7 +662,7 @@ def test_the_bench_gives_the_errors_of_every_scene_and_their_mean(scenes, asked)
         assert re.search(words, result.stdout)
     record = json.loads((scenes / "t.csv.record.json").read_text())
     assert record["settings"] == {
-        "presets": ["dis-medium"],
+        "presets": ["fast"],
         "backend": "opencv",
         "scenes": ["Half", "Partly", "Two"],
     }
@@ -672,9 +672,7 @@ def test_the_bench_gives_the_errors_of_every_scene_and_their_mean(scenes, asked)
 def test_several_presets_stand_one_below_the_other(scenes, asked):
     rows = told("--bench", scenes, *FAST, "--preset", "deepflow")["table"]
     assert [(row["preset"], row["scene"]) for row in rows] == [
-        (preset, scene)
-        for preset in ("dis-medium", "deepflow")
-        for scene in ("Half", "Partly", "Two", "mean")
+        (preset, scene) for preset in ("fast", "deepflow") for scene in ("Half", "Partly", "Two", "mean")
     ]
     assert rows[4]["aee_px"] == pytest.approx(np.hypot(SHIFT_PX, 0.5), abs=0.01)  # its pictures do not move
 
@@ -717,8 +715,8 @@ def test_a_bench_names_the_scene_and_the_preset_that_fail(scenes, monkeypatch):
     def fails(reference):
         raise cv2.error("too small")
 
-    monkeypatch.setitem(methods.METHODS, "dis-medium", fails)
-    refused(run("--bench", scenes, *FAST), "scene Half", "preset dis-medium")
+    monkeypatch.setitem(methods.METHODS, "fast", fails)
+    refused(run("--bench", scenes, *FAST), "scene Half", "preset fast")
 
 
 @pytest.fixture(params=[signal.SIGTERM, signal.SIGHUP])

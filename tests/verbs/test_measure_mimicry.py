@@ -588,7 +588,7 @@ def test_held_out_frames_of_the_models_own_recording_are_not_called_anothers(tmp
             place = tmp_path / (name if index % 2 else f"{name}-built") / f"f_{index:03d}.png"
             place.parent.mkdir(exist_ok=True)
             write_image(place, np.clip(frame, 0, 1).astype(np.float32), bits=16)
-    built = build_model.build_model(tmp_path / "own-built", components=4, flow="dis-medium", warp_weight=0.05)
+    built = build_model.build_model(tmp_path / "own-built", components=4, flow="fast", warp_weight=0.05)
     built.save(tmp_path / "drawn.morph")
     given = str(tmp_path / "own"), str(tmp_path / "other")
     outcome = measured(tmp_path, *given)
