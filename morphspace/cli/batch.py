@@ -46,7 +46,9 @@ def add_batch(group: click.Group, verb: Callable[[Callable[..., Any]], Callable[
 
         unasked = verb_module.MOST_PLANNED if is_plan else verb_module.MOST_UNASKED
         most = None if is_meant else unasked
-        planned = yield from verb_module.plan(verb_module.BatchRequest(recipe, output, workers, most))
+        planned = yield from verb_module.planned_batch(
+            verb_module.BatchRequest(recipe, output, workers, most)
+        )
         estimate = verb_module.estimated(planned)
         lines = planned.lines(estimate)
         if is_plan:

@@ -17,6 +17,7 @@ from morphspace.errors import BadInput
 from morphspace.io.recipes import read_recipe
 from morphspace.io.tables import write_metrics_table
 from morphspace.outcome import Outcome, check_folder, write_record
+from morphspace.requests import recipe_verbs
 from morphspace.sets.complete import loadings_tables
 from morphspace.sets.draw import make_stimulus
 from morphspace.sets.planned import PlannedSet, check_set, complete_set, keep_model
@@ -25,7 +26,6 @@ from morphspace.stimuli.drawing import PICTURE_SUFFIXES, VIDEO_SUFFIXES, Drawing
 from morphspace.verbs.batch_folders import FolderJob
 from morphspace.verbs.batch_planning import FOLDERS_TABLE, Planned, planned_recipe
 from morphspace.verbs.batch_pool import DrawingPiece, FolderPiece, Piece, made_here, made_in_processes
-from morphspace.verbs.batch_verbs import SETTINGS
 
 MOST_UNASKED = 100_000  # stimuli made without --yes: a day's drawing, and tens of gigabytes
 MOST_PLANNED = 1_000_000  # shown by --plan without --yes: minutes, and gigabytes of memory
@@ -126,14 +126,15 @@ class BatchPlan:
 
 def run(request: BatchRequest) -> Steps[Outcome]:
     """Plan the recipe and make all of it. Returns an `Outcome`."""
-    return (yield from write_batch((yield from plan(request))))
+    return (yield from write_batch((yield from planned_batch(request))))
 
 
-def plan(request: BatchRequest) -> Steps[BatchPlan]:
+def planned_batch(request: BatchRequest) -> Steps[BatchPlan]:
     """Read and check the whole recipe, draw nothing; give a `BatchPlan`. Raises `BadInput` with the recipe's line."""
     if request.workers is not None and request.workers < 1:
         raise BadInput(f"{request.workers} processes cannot draw anything: give at least 1")
-    recipe = read_recipe(request.recipe, SETTINGS)
+    settings = {name: verb.settings for name, verb in recipe_verbs().items()}
+    recipe = read_recipe(request.recipe, settings)
     planned = yield from planned_recipe(recipe, request.output, request.most)
     return BatchPlan(request, planned, recipe.description)
 
@@ -330,4 +331,13 @@ def _size(count: float) -> str:
     return f"{max(count / 1e3, 1):.0f} kB"
 
 
-__all__ = ["BatchPlan", "BatchRequest", "Estimate", "FolderJob", "estimated", "plan", "run", "write_batch"]
+__all__ = [
+    "BatchPlan",
+    "BatchRequest",
+    "Estimate",
+    "FolderJob",
+    "estimated",
+    "planned_batch",
+    "run",
+    "write_batch",
+]

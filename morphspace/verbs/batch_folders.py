@@ -7,12 +7,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from morphspace.errors import BadInput, MorphspaceError, UnreadableFile
+from morphspace.errors import MorphspaceError, UnreadableFile
 from morphspace.io.sidecars import read_json_object
 from morphspace.outcome import RECORD_NAME, Outcome
+from morphspace.requests import verb_named
 from morphspace.steps import Step, Steps, result_of
 from morphspace.storage import digest_of_file, json_text, write_text
-from morphspace.verbs.batch_verbs import VERBS, FolderVerb
 
 MARK_NAME = "batch.json"  # in the folder: what filled it, written when it was whole
 MARK_FORMAT = "morphspace-batch-folder"
@@ -47,10 +47,7 @@ def fill_folder(job: FolderJob, folder: Path, is_stopped: Callable[[], bool]) ->
     place = folder / job.name
     mark = _mark_of(place, job)
     if mark is None:
-        verb = VERBS[job.verb]
-        if not isinstance(verb, FolderVerb):
-            raise BadInput(f"{job.verb} fills no folder of its own: it is drawn")
-        outcome = _run(verb.run(job.request), job, is_stopped)
+        outcome = _run(verb_named(job.verb).run(job.request), job, is_stopped)
         mark = {
             "format": MARK_FORMAT,
             "version": MARK_VERSION,

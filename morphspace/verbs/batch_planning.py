@@ -19,6 +19,7 @@ from morphspace.io.placeholders import filled
 from morphspace.io.recipes import Job, Recipe
 from morphspace.model.model import MorphModel, load_model
 from morphspace.outcome import versions
+from morphspace.requests import Verb, verb_named
 from morphspace.sets.manifest import FIRST_COLUMNS, LAST_COLUMNS, Column
 from morphspace.sets.planned import PlannedSet, check_kept_model, check_names, request_document
 from morphspace.sets.sources import file_names
@@ -27,7 +28,6 @@ from morphspace.stimuli.drawing import Drawing, check_name
 from morphspace.storage import digest_of_file, digest_of_json
 from morphspace.verbs.batch_folders import FolderJob
 from morphspace.verbs.batch_settings import request_of
-from morphspace.verbs.batch_verbs import VERBS, DrawingVerb, FolderVerb
 
 FOLDERS_TABLE = "folders.csv"
 ID_DIGITS = 8  # of a model's id, where they tell models of one name apart
@@ -102,9 +102,9 @@ def planned_recipe(recipe: Recipe, folder: Path, most: int | None) -> Steps[Plan
     folders: list[FolderJob] = []
     inputs = {f"recipe {recipe.path.name}": digest_of_file(recipe.path)}
     for done, job in enumerate(recipe.jobs(), start=1):
-        verb = VERBS[job.verb]
+        verb = verb_named(job.verb)
         try:
-            if isinstance(verb, FolderVerb):
+            if verb.plan is None:
                 folders.append(_folder_job(job, verb, recipe, folder, book))
             else:
                 sets.append((yield from _set_of(job, verb, recipe, folder, book)))
@@ -165,9 +165,7 @@ def _is_pattern(words: str) -> bool:
     return any(mark in words for mark in "*?[")
 
 
-def _requests(
-    job: Job, verb: DrawingVerb | FolderVerb, recipe: Recipe, output: Path
-) -> tuple[Any, dict[str, Any]]:
+def _requests(job: Job, verb: Verb, recipe: Recipe, output: Path) -> tuple[Any, dict[str, Any]]:
     """Give the request with paths that open, and the same as JSON with the recipe's own words for them."""
 
     def opening(words: str) -> Path:
@@ -194,10 +192,11 @@ def _named(words: str, recipe: Recipe) -> tuple[str, str]:
     return words, ""
 
 
-def _set_of(job: Job, verb: DrawingVerb, recipe: Recipe, folder: Path, book: _Book) -> Steps[PlannedSet]:
+def _set_of(job: Job, verb: Verb, recipe: Recipe, folder: Path, book: _Book) -> Steps[PlannedSet]:
     request, told = _requests(job, verb, recipe, folder)
     _check_count(book.drawings + verb.asked(request), book.most, "stimuli")
-    planned = yield from verb.plan(request, book.model(getattr(request, "model", None)))
+    plan: Any = verb.plan
+    planned: PlannedSet = yield from plan(request, book.model(getattr(request, "model", None)))
     book.drawings += len(planned.drawings)
     columns = dict(planned.columns)
     drawings, names = [], {}
@@ -274,12 +273,13 @@ def _note_inputs(planned: PlannedSet, inputs: dict[str, str]) -> None:
             free = f"{key} ({number})"
 
 
-def _folder_job(job: Job, verb: FolderVerb, recipe: Recipe, folder: Path, book: _Book) -> FolderJob:
+def _folder_job(job: Job, verb: Verb, recipe: Recipe, folder: Path, book: _Book) -> FolderJob:
     places = {"verb": job.verb, **job.known}
     name = _name(job, places) or job.verb
     book.take(name, job, places)
     request, told = _requests(job, verb, recipe, folder / name)
-    verb.check(request)
+    if verb.check is not None:
+        verb.check(request)
     digests = {
         setting: _digest(getattr(request, setting))
         for setting in verb.files

@@ -14,6 +14,7 @@ from morphspace.errors import BadInput
 from morphspace.io.images import read_mask
 from morphspace.model.model import MorphModel, load_model
 from morphspace.outcome import Outcome
+from morphspace.requests import ClipText
 from morphspace.sets.planned import PlannedSet, plan_of, write_set
 from morphspace.sets.sources import Faces, faces_of
 from morphspace.steps import Steps
@@ -38,7 +39,7 @@ class CaricatureRequest:
     model: Path
     output: Path
     loadings: Path | None = None
-    clip: tuple[str, ...] = ()
+    clip: tuple[ClipText, ...] = ()
     gains: tuple[float, ...] = (0.5, 1.0, 1.5, -1.0)
     warp_gains: tuple[float, ...] | None = None
     texture_gains: tuple[float, ...] | None = None

@@ -25,6 +25,7 @@ from morphspace.io.tables import read_loadings_table
 from morphspace.model.encode import STRANGE, encoded_frames, energy_outside, framed_for, notes_on_alignment
 from morphspace.model.model import MorphModel, load_model
 from morphspace.outcome import Outcome, versions
+from morphspace.requests import ClipText
 from morphspace.sets.kept import digest_of_kept
 from morphspace.sets.manifest import Column
 from morphspace.sets.planned import PlannedSet, files_named, request_document, write_set
@@ -67,8 +68,8 @@ class ContinuumRequest:
     steps. `crop` px is cut out of pictures first.
     """
 
-    first: str
-    last: str
+    first: ClipText
+    last: ClipText
     output: Path
     model: Path | None = None
     steps: int = 10

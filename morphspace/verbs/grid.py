@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -31,6 +32,11 @@ def run(request: GridRequest) -> Steps[Outcome]:
     """Write the set of stimuli. Returns an `Outcome`."""
     planned = yield from plan(request)
     return (yield from write_set(planned, request.output))
+
+
+def asked(request: GridRequest) -> int:
+    """Give how many stimuli are asked for outright."""
+    return math.prod(request.steps)
 
 
 def plan(request: GridRequest, model: MorphModel | None = None) -> Steps[PlannedSet]:

@@ -23,6 +23,7 @@ from morphspace.model.keypoints import how_to_learn
 from morphspace.model.model import MorphModel
 from morphspace.outcome import Outcome, check_folder, picture_names, versions, write_record
 from morphspace.report.mimic_page import MimicryShown, mimic_page
+from morphspace.requests import ClipText
 from morphspace.steps import Steps
 from morphspace.storage import write_text
 from morphspace.transfer.mimicry import METHODS, WITH_REST, Method, auto_gain, mimic, offset_of
@@ -82,10 +83,10 @@ class MimicRequest:
     says what counts as rest (`neutral.rest_of`).
     """
 
-    source: str
-    target: str
+    source: ClipText
+    target: ClipText
     output: Path
-    frames: str | None = None
+    frames: ClipText | None = None
     method: str = BEST
     gain: float | Literal["auto"] | None = None
     max_sd: float = MAX_SD

@@ -19,6 +19,7 @@ from morphspace.io.tables import read_loadings_table
 from morphspace.model.encode import framed_for, notes_on_alignment, notes_on_enlarging
 from morphspace.model.model import MorphModel, load_model
 from morphspace.outcome import Outcome
+from morphspace.requests import ClipText
 from morphspace.sets.kept import digest_of_kept, encoded_clip
 from morphspace.sets.manifest import Column
 from morphspace.sets.planned import PlannedSet, plan_of, write_set
@@ -43,7 +44,7 @@ class PlaceRequest:
     """
 
     model: Path
-    clip: tuple[str, ...]
+    clip: tuple[ClipText, ...]
     output: Path
     loadings: Path | None = None
     gain: float = 1.0

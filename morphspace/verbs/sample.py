@@ -37,6 +37,11 @@ def run(request: SampleRequest) -> Steps[Outcome]:
     return (yield from write_set(planned, request.output))
 
 
+def asked(request: SampleRequest) -> int:
+    """Give how many stimuli are asked for outright."""
+    return request.count
+
+
 def plan(request: SampleRequest, model: MorphModel | None = None) -> Steps[PlannedSet]:
     """Draw the numbers, not the pictures; `model` where it is open already. Returns a `PlannedSet`."""
     yield from ()

@@ -15,13 +15,15 @@ from morphspace.cli.main import main
 from morphspace.errors import BadInput
 from morphspace.io.recipe_text import read_yaml
 from morphspace.io.recipes import KEYS, read_recipe
+from morphspace.requests import recipe_verbs
 from morphspace.sets.manifest import FIRST_COLUMNS, LAST_COLUMNS, TOLD_COLUMNS
 from morphspace.steps import result_of
 from morphspace.verbs import sample
 from morphspace.verbs.batch_settings import WrongKind, converted, kinds_of, required_of, worded
-from morphspace.verbs.batch_verbs import SETTINGS, VERBS
 from morphspace.verbs.sample import SampleRequest
 
+VERBS = recipe_verbs()
+SETTINGS = {name: verb.settings for name, verb in VERBS.items()}
 DATA_SPEC = Path(__file__).parents[2] / "data_spec"
 
 

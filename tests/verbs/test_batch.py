@@ -322,7 +322,7 @@ def test_two_batches_do_not_write_into_one_folder_at_once(lab, tmp_path):
 def test_a_model_that_is_built_anew_during_the_batch_is_noticed(lab, tmp_path, model):
     text = CROSSED.replace("sources: {ann: ann.morph", "sources: {ann: changing.morph")
     (lab / "changing.morph").write_bytes((lab / "ann.morph").read_bytes())
-    planned = result_of(batch.plan(BatchRequest(recipe(lab, text), tmp_path / "out", workers=1)))
+    planned = result_of(batch.planned_batch(BatchRequest(recipe(lab, text), tmp_path / "out", workers=1)))
     model_like(model, "ann", model.mean.texture, "f" * 16).save(lab / "changing.morph")
     with pytest.raises(BadInput, match=r"changing\.morph was model"):
         result_of(batch.write_batch(planned))
@@ -422,7 +422,7 @@ def test_bad_words_are_one_line(words, lab, tmp_path):
 
 
 def test_what_fails_in_a_process_is_told_in_one_line_and_ends_the_batch(lab, tmp_path):
-    planned = result_of(batch.plan(BatchRequest(recipe(lab, CROSSED), tmp_path / "out", workers=2)))
+    planned = result_of(batch.planned_batch(BatchRequest(recipe(lab, CROSSED), tmp_path / "out", workers=2)))
     (tmp_path / "out").mkdir()
     (tmp_path / "out" / "bob").write_bytes(b"a file where a folder belongs")
     with pytest.raises(BadInput, match="cannot write"):
@@ -517,7 +517,7 @@ def test_a_batch_of_a_thousand_that_is_killed_goes_on_to_identical_bytes(lab, tm
 
 @pytest.mark.slow
 def test_a_process_that_is_ended_from_outside_is_told_in_one_line(lab, tmp_path):
-    planned = result_of(batch.plan(BatchRequest(recipe(lab, MANY), tmp_path / "out", workers=2)))
+    planned = result_of(batch.planned_batch(BatchRequest(recipe(lab, MANY), tmp_path / "out", workers=2)))
     steps = batch.write_batch(planned)
     next(steps)
     children = [child for child in batch_pool.multiprocessing.active_children() if child.is_alive()]
