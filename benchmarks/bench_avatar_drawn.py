@@ -19,6 +19,7 @@ from morphspace.flow.methods import named
 from morphspace.grid import warp
 from morphspace.io.images import write_image
 from morphspace.io.sidecars import MarkedFaceframe, Sidecar, write_sidecar
+from morphspace.model.from_clip import build_model
 from morphspace.model.model import MorphModel
 from morphspace.model.reference import spread
 from morphspace.steps import result_of
@@ -26,7 +27,6 @@ from morphspace.synthetic.actor import Actor, ActorFrame
 from morphspace.synthetic.drawn import drawn_actor
 from morphspace.synthetic.parameters import ACTIONS, SIGNED_ACTIONS, Expression, Identity
 from morphspace.synthetic.performance import expression_sequence
-from morphspace.verbs.build_model import build_model
 
 SEED = 33
 PEOPLE = (22, 9)  # of SEED: 3.7 px apart, the most of those looked at; the one in the middle is 1.8 from both

@@ -9,12 +9,12 @@ from bench_tables import print_table, tell
 
 from morphspace.arrays import AnyArray, Image
 from morphspace.linear.quality import psnr_db
+from morphspace.model.from_clip import build_model
 from morphspace.model.model import MorphModel
 from morphspace.synthetic.clips import Truth, make_actors, read_truth
 from morphspace.synthetic.drawn import drawn_actor
 from morphspace.synthetic.parameters import Expression, Identity
 from morphspace.transfer.mimicry import METHODS, mimic, offset_of
-from morphspace.verbs.build_model import build_model
 
 SEED = 21
 TRAINED = 100  # frames of each actor

@@ -21,13 +21,13 @@ from morphspace.imitation.shape import centred
 from morphspace.io.images import read_image
 from morphspace.io.tables import read_loadings_table, read_metrics_table
 from morphspace.linear import quality
+from morphspace.model.from_clip import build_model
 from morphspace.model.model import Loadings, MorphModel, load_model
 from morphspace.steps import result_of
 from morphspace.stimuli import stepping, timing, trajectory
 from morphspace.stimuli.continuum import Line
 from morphspace.synthetic.clips import make_actors
 from morphspace.verbs import continuum as verb
-from morphspace.verbs.build_model import build_model
 from morphspace.verbs.encode import write_loadings
 
 CLIPS = ("lp_d18", "lp_d6", "lp_d13", "lp_d0", "grid_pwij3p")

@@ -19,7 +19,7 @@ _HOMES = {
     "MorphModel": "model.model",
     "MorphOffset": "model.morph",
     "MorphspaceError": "errors",
-    "build_model": "verbs.build_model",
+    "build_model": "model.from_clip",
     "deserialise": "model.morph",
     "load_model": "model.model",
     "open_clip": "io.clips",

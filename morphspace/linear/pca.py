@@ -48,6 +48,14 @@ class Basis:
         """The number of components, k."""
         return len(self.variances)
 
+    @property
+    def variance_explained(self) -> float:
+        """The share of the training data's variance, in the inner product, that the components hold."""
+        kept = float(self.variances.sum())
+        dimensions = max(1, int((self.weight > 0).sum()) - self.rank)
+        total = kept + self.discarded_variance * dimensions
+        return kept / total if total > 0 else 1.0
+
     def project(self, offsets: AnyArray) -> LoadingTable:
         """Give the loadings of mean-relative vectors (..., d): inner products with each component, (..., k)."""
         return np.asarray((offsets * self.weight) @ self.components.T, np.float64)

@@ -11,7 +11,6 @@ from morphspace.model.file import check_content
 from morphspace.model.model import MorphModel, load_model, points_document
 from morphspace.outcome import Outcome
 from morphspace.steps import Step, Steps
-from morphspace.verbs.build_model import explained_variance
 from morphspace.verbs.keypoints import point_names, told_errors
 
 SHOWN = 10  # components listed one by one
@@ -70,7 +69,7 @@ def run(request: InfoRequest) -> Steps[Outcome]:
     yield Step("check", 0, 1)
     check_content(request.model)
     yield Step("check", 1, 1)
-    total = max(float(model.basis.variances.sum()) / max(explained_variance(model), 1e-12), 1e-30)
+    total = max(float(model.basis.variances.sum()) / max(model.basis.variance_explained, 1e-12), 1e-30)
     shares = (model.basis.variances / total).tolist()
     origin = model.provenance
     lines = [
@@ -78,7 +77,7 @@ def run(request: InfoRequest) -> Steps[Outcome]:
         f"frames     {len(model.training.frame_names)} of {model.size[0]}x{model.size[1]}, reference "
         f"{origin['reference']['frame']}, {_registration_words(model)}, flow {model.flow}",
         *_blend_lines(model),
-        f"components {model.rank}, {explained_variance(model):.1%} of the variance, warp weight "
+        f"components {model.rank}, {model.basis.variance_explained:.1%} of the variance, warp weight "
         f"{model.warp_weight:.4g} colour/px",
         "shares     "
         + (", ".join(f"{share:.1%}" for share in shares[:SHOWN]) or "none: the frames do not differ"),
@@ -99,7 +98,7 @@ def run(request: InfoRequest) -> Steps[Outcome]:
         "identity": model.identity,
         "size": list(model.size),
         "components": model.rank,
-        "variance_explained": explained_variance(model),
+        "variance_explained": model.basis.variance_explained,
         "variance_shares": shares,
         "sd": model.sd.tolist(),
         "warp_weight": model.warp_weight,

@@ -22,18 +22,18 @@ from morphspace.flow import methods
 from morphspace.io.clips import VIDEO_SUFFIXES, Clip, open_clip
 from morphspace.model.encode import framed_for, notes_on_framing
 from morphspace.model.file import check_content
+from morphspace.model.from_clip import ClipSettings, default_size
 from morphspace.model.keypoints import detect_faceframe, how_to_learn, with_detected
 from morphspace.model.landmarks import LEAST_FACES
 from morphspace.model.model import MorphModel, load_model
 from morphspace.model.morph import MorphOffset
 from morphspace.model.passes import COMPONENTS, MIN_FRAMES
 from morphspace.model.reference import spread
-from morphspace.outcome import versions
+from morphspace.outcome import check_folder, versions, work_folder_of
+from morphspace.sets.models import written_model
 from morphspace.steps import Step, Steps
 from morphspace.storage import digest_of_file, digest_of_json
 from morphspace.transfer.mimicry import offset_of
-from morphspace.verbs import build_model
-from morphspace.verbs.build_model import BuildModelRequest
 
 MODEL_SUFFIX = ".morph"
 LOOKED_AT = 9  # frames of a clip, for a face
@@ -232,8 +232,10 @@ def ready_model(
     path, model = _found(given, folder, asked)
     if model is None:
         work = folder / f"{path.name}.work"
-        request = BuildModelRequest(sources=_sources(given), output=path, components=asked, work_folder=work)
-        yield from build_model.run(request)
+        settings = ClipSettings(components=asked)
+        check_folder(folder)
+        with work_folder_of(work, path):
+            yield from written_model(given, settings, path, path.with_suffix(".html"), work)
         shutil.rmtree(work, ignore_errors=True)
         model = load_model(path)
     if model.faceframe is None:
@@ -249,15 +251,10 @@ def ready_model(
     return UsedModel(model, path, digest_of_file(path))
 
 
-def _sources(clip: Clip) -> tuple[str, ...]:
-    """Give the clip's files, a video once."""
-    return tuple(dict.fromkeys(map(str, clip.paths)))
-
-
 def _found(clip: Clip, folder: Path, components: int) -> tuple[Path, MorphModel | None]:
     """Give the model built of this clip with these settings, or the free name for one."""
     inputs = dict(zip(clip.frame_names, clip.digests(), strict=True))
-    size = build_model.default_size(clip.size, None)
+    size = default_size(clip.size, None)
     number = 1
     while True:
         path = folder / f"{clip.name}{'' if number == 1 else f'-{number}'}{MODEL_SUFFIX}"

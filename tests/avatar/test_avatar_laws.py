@@ -19,11 +19,11 @@ from morphspace.errors import BadInput
 from morphspace.io.images import write_image
 from morphspace.linear.quality import psnr_db
 from morphspace.model.encode import framed_for
+from morphspace.model.from_clip import build_model
 from morphspace.model.model import load_model
 from morphspace.steps import result_of
 from morphspace.synthetic import Expression, Identity
 from morphspace.synthetic.drawn import drawn_actor
-from morphspace.verbs.build_model import build_model
 
 pytestmark = pytest.mark.slow  # they build models
 

@@ -18,11 +18,11 @@ from morphspace.grid import warp
 from morphspace.io.images import write_image
 from morphspace.linear.pca import Basis
 from morphspace.linear.quality import psnr_db
+from morphspace.model.from_clip import build_model
 from morphspace.model.morph import Morph, MorphOffset, parts_of, vector_of
 from morphspace.synthetic import Expression, Identity
 from morphspace.synthetic.drawn import drawn_actor
 from morphspace.transfer.mimicry import auto_gain, mimic, offset_of
-from morphspace.verbs.build_model import build_model
 
 pytestmark = pytest.mark.slow  # they build models
 

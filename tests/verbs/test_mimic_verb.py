@@ -454,11 +454,11 @@ def test_a_model_is_built_of_a_clip_and_found_again(work, actor, monkeypatch):
     built = work / "out" / "models" / "clip.morph"
     assert built.is_file() and not list(built.parent.glob("*.work"))
 
-    def never(request):
+    def never(*given):
         raise AssertionError("it was built again")
         yield
 
-    monkeypatch.setattr(mimic_sources.build_model, "run", never)
+    monkeypatch.setattr(mimic_sources, "written_model", never)
     result_of(verb.run(request))
     shutil.rmtree(work / "out" / "models")
     with pytest.raises(AssertionError, match="built again"):

@@ -1,0 +1,229 @@
+"""Build a model from the frames of a clip: crop, size, mask and reference as they are asked for (Nagle section 2)."""
+
+from __future__ import annotations
+
+import tempfile
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+
+from morphspace.arrays import Mask
+from morphspace.errors import BadInput
+from morphspace.face.crop import FoundCrop
+from morphspace.face.faceframe import FaceFrame, RegistrationKind
+from morphspace.face.finder import own_finder
+from morphspace.flow import methods
+from morphspace.flow.starts import StartKind
+from morphspace.grid.warp import apply_affine, inverse_affine
+from morphspace.io.clips import Clip, open_clip
+from morphspace.io.framing import FramedClip, Framing
+from morphspace.io.images import read_mask
+from morphspace.io.sidecars import MarkedFaceframe
+from morphspace.model.finding import Landmarks, crop_steps, finder_for
+from morphspace.model.model import MorphModel
+from morphspace.model.passes import COMPONENTS, Build, BuildSettings, build_steps
+from morphspace.outcome import versions
+from morphspace.steps import Steps, result_of
+from morphspace.storage import digest_of_array
+
+DEFAULT_SIDE_PX = 400  # frames larger than this are scaled to cover 200 x 240 unless a size is given
+MOST_WEIGHT = 1000.0  # colour per px; builds choose 0.02 to 0.1
+LEAST_FACEFRAME_PX = 4.0  # below it the points do not place a face
+DEFAULT_SIZE = (200, 240)  # Nagle section 2
+
+Crop = tuple[int, int, int, int] | Literal["auto"]
+"""A box (x, y, w, h) px of every frame, or `auto`: around the head, as found in a spread of frames."""
+
+
+@dataclass(frozen=True, eq=False)
+class ClipSettings:
+    """How to build a model from a clip.
+
+    Parameters
+    ----------
+    components
+        The largest number of components to keep.
+    size
+        (w, h) px of the model's frames; None for the frames' own, 200 x 240 where they are larger than 400 px.
+    crop
+        A box (x, y, w, h) px of every frame, or "auto": around the head.
+    landmarks
+        "auto" finds the face in every frame where the detector's files are present; "anchor" also holds the flow to
+        the points; "none" does not look for it.
+    mask
+        A grey picture of the reference's size, white where the face is.
+    reference
+        The name or file of the reference frame; None to choose it.
+    start
+        "auto" tries hard frames again from a neighbour's flow, "none" does not.
+    warp_weight
+        Colour per px; None to cross-validate.
+    identity
+        Who is shown; None for what the clip says.
+
+    Raises
+    ------
+    BadInput
+        Where the warp weight is not above 0 and at most `MOST_WEIGHT`.
+    """
+
+    components: int = COMPONENTS
+    size: tuple[int, int] | None = None
+    crop: Crop | None = None
+    landmarks: Landmarks = "auto"
+    mask: Path | None = None
+    reference: str | None = None
+    registration: RegistrationKind = "similarity"
+    flow: str = methods.DEFAULT
+    start: StartKind = "auto"
+    warp_weight: float | None = None
+    identity: str | None = None
+
+    def __post_init__(self) -> None:
+        weight = self.warp_weight
+        if weight is not None and not 0 < weight <= MOST_WEIGHT:
+            raise BadInput(
+                f"the warp weight is {weight}; expected a number above 0, at most {MOST_WEIGHT:g} colour per px. Give "
+                "such a number, or auto"
+            )
+
+
+def build_model(*sources: str | Path, work_folder: Path | None = None, **settings: Any) -> MorphModel:
+    """Build a model from a folder, a glob, a video or image files.
+
+    Nothing is written but the work folder, which is temporary unless one is given.
+
+    Parameters
+    ----------
+    settings
+        The fields of `ClipSettings`.
+
+    Raises
+    ------
+    BadInput
+        Where the clip cannot be read, or a setting cannot be used.
+    """
+    asked, clip = ClipSettings(**settings), open_clip(tuple(map(str, sources)))
+    if work_folder is not None:
+        return result_of(build_clip(clip, asked, work_folder))[0].model
+    with tempfile.TemporaryDirectory(prefix="morphspace-") as folder:
+        return result_of(build_clip(clip, asked, Path(folder)))[0].model
+
+
+def build_clip(clip: Clip, asked: ClipSettings, work_folder: Path) -> Steps[tuple[Build, tuple[str, ...]]]:
+    """Build a model from an open clip; return the build, and notes on what was done to the frames."""
+    finder, missing = finder_for(asked.landmarks)
+    notes = list(missing)
+    crop, found_crop = asked.crop, None
+    if crop == "auto":
+        width, height = asked.size or DEFAULT_SIZE
+        found_crop = yield from crop_steps(clip, finder or own_finder(), width / height)
+        crop = found_crop.box
+    framing = Framing(clip.size, crop, asked.size or default_size(clip.size, crop))
+    source = FramedClip(clip, framing)
+    if max(framing.cut_off) > 0:
+        notes.append(
+            f"frames of {framing.box[2]}x{framing.box[3]} are scaled to {framing.scaled_size[0]}x"
+            f"{framing.scaled_size[1]} and cropped to the middle {framing.size[0]}x{framing.size[1]}"
+        )
+    mask, mask_digest = _mask(asked.mask, framing, clip.size)
+    faceframe, faceframe_index = _faceframe(clip, framing)
+    settings = BuildSettings(
+        components=asked.components,
+        registration=asked.registration,
+        flow=asked.flow,
+        start=asked.start,
+        reference=None if asked.reference is None else _index_of(asked.reference, clip),
+        warp_weight=asked.warp_weight,
+        mask=mask,
+        faceframe=faceframe,
+        faceframe_index=faceframe_index,
+        finder=finder,
+        anchored=asked.landmarks == "anchor",
+    )
+    build = yield from build_steps(
+        source, settings, work_folder, _provenance(clip, source, asked, mask_digest, found_crop)
+    )
+    return build, tuple(notes)
+
+
+def source_size(size: tuple[int, int], crop: tuple[int, int, int, int] | None) -> tuple[int, int]:
+    """Give the size (w, h) px of what is used of each image: the crop, or all of it."""
+    return size if crop is None else (crop[2], crop[3])
+
+
+def default_size(size: tuple[int, int], crop: tuple[int, int, int, int] | None) -> tuple[int, int]:
+    """Give the model's frame size (w, h) where none was asked for: their own, or 200 x 240 where they are large."""
+    used = source_size(size, crop)
+    return DEFAULT_SIZE if max(used) > DEFAULT_SIDE_PX else used
+
+
+def _mask(
+    path: Path | None, framing: Framing, source_size: tuple[int, int]
+) -> tuple[Mask | None, str | None]:
+    if path is None:
+        return None, None
+    mask = read_mask(path)
+    size = (mask.shape[1], mask.shape[0])
+    if size == source_size and size != framing.size:
+        mask = framing.apply(np.repeat(mask[..., None], 3, axis=2))[..., 0]
+    elif size != framing.size:
+        raise BadInput(
+            f"the mask {path} is {size[0]}x{size[1]}, the frames are {source_size[0]}x{source_size[1]} and the model's "
+            f"{framing.size[0]}x{framing.size[1]}: draw it at one of these sizes"
+        )
+    return mask, digest_of_array(mask)
+
+
+def _index_of(reference: str, clip: Clip) -> int:
+    """Find the frame the user means by its name, with or without folder and suffix."""
+    for wanted in (reference, Path(reference).name, Path(reference).stem):
+        if wanted in clip.frame_names:
+            return clip.frame_names.index(wanted)
+    raise BadInput(
+        f"there is no frame {reference!r} in {clip.name}: its frames are {clip.frame_names[0]} to "
+        f"{clip.frame_names[-1]}"
+    )
+
+
+def _faceframe(clip: Clip, framing: Framing) -> tuple[FaceFrame | None, int | None]:
+    marked = clip.sidecar.faceframe
+    if marked is None:
+        return None, None
+    marked = MarkedFaceframe(marked.image, marked.points, clip.size)  # checks that it lies in the picture
+    points = apply_affine(inverse_affine(framing.to_source), marked.points)
+    width, height = np.hypot(*(points[1] - points[0])), np.hypot(*(points[2] - points[:2].mean(axis=0)))
+    if min(width, height) < LEAST_FACEFRAME_PX:
+        raise BadInput(
+            f"the faceframe of {marked.image} is {width:.1f} px from eye to eye and {height:.1f} px from eyes to "
+            f"philtrum at the model's size, at least {LEAST_FACEFRAME_PX:g} px are needed: mark it again"
+        )
+    right, left, lip = (tuple(map(float, point)) for point in points)
+    return FaceFrame(right, left, lip), _index_of(marked.image, clip)  # type: ignore[arg-type]
+
+
+def _provenance(
+    clip: Clip,
+    source: FramedClip,
+    asked: ClipSettings,
+    mask_digest: str | None,
+    found_crop: FoundCrop | None,
+) -> dict[str, Any]:
+    framing = source.framing
+    return {
+        "identity": asked.identity or clip.sidecar.identity or clip.name,
+        "consent": clip.sidecar.consent,
+        "licence": clip.sidecar.licence,
+        "frame_rate_hz": clip.sidecar.frame_rate_hz,
+        "framing": {
+            "source_size": list(framing.source_size),
+            "crop": None if framing.crop is None else list(framing.crop),
+            "size": list(framing.size),
+            **({} if found_crop is None else {"crop_found": found_crop.document}),
+        },
+        "mask_sha256": mask_digest,
+        "inputs": dict(zip(clip.frame_names, source.file_digests, strict=True)),
+        "versions": versions(),
+    }
