@@ -25,11 +25,11 @@ from morphspace.face.mesh import FacePoints
 from morphspace.grid import warp
 from morphspace.model.morph import morph_of, resource, vector_of
 from morphspace.steps import in_order, result_of
+from morphspace.transfer.driver import UsedModel, clip_driver
 from morphspace.transfer.mimicry import METHODS, mimic
 from morphspace.transfer.probable import InnerProducts
 from morphspace.transfer.quality import reach_of
 from morphspace.verbs import mimic as verb
-from morphspace.verbs.mimic_sources import UsedModel, clip_driver
 
 SOURCE, TARGET = "lp_d18", "lp_d6"
 DRIVEN = 40  # which frame of the source's clip is timed: an open mouth

@@ -2,14 +2,30 @@
 
 from __future__ import annotations
 
+import shutil
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from morphspace.io.clips import Clip
-from morphspace.model.from_clip import ClipSettings, build_clip
-from morphspace.model.passes import Build
+from morphspace.errors import BadInput
+from morphspace.face.detector import Detector, how_to_get_networks
+from morphspace.flow import methods
+from morphspace.io.clips import VIDEO_SUFFIXES, Clip, open_clip
+from morphspace.model.file import check_content
+from morphspace.model.from_clip import ClipSettings, build_clip, default_size
+from morphspace.model.keypoints import detect_faceframe, how_to_learn, with_detected
+from morphspace.model.landmarks import LEAST_FACES
+from morphspace.model.model import MorphModel, load_model
+from morphspace.model.passes import COMPONENTS, MIN_FRAMES, Build
+from morphspace.model.reference import spread
+from morphspace.outcome import check_folder, versions, work_folder_of
 from morphspace.report import Case, measure_frames, write_report
-from morphspace.steps import Steps
+from morphspace.steps import Step, Steps
+from morphspace.storage import digest_of_file
+from morphspace.transfer.driver import UsedModel
+
+MODEL_SUFFIX = ".morph"
+LOOKED_AT = 9  # frames of a clip, for a face
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,3 +49,146 @@ def written_model(
     used = int(width), int(height)
     write_report(report, build, figures, source_size=used)
     return WrittenModel(build, Case(build, figures, used), notes)
+
+
+def check_apart(output: Path, inputs: Sequence[Path]) -> None:
+    """Raise `BadInput` where frames lie in the output folder itself: they and what is written would be mixed."""
+    for path in inputs:
+        if path.suffix.lower() not in VIDEO_SUFFIXES and path.parent.resolve() == output.resolve():
+            raise BadInput(
+                f"the output folder {output} holds the frames that are read, such as {path.name}: choose another "
+                "output folder, such as one in it"
+            )
+
+
+def check_landmarks(used: UsedModel | Clip) -> None:
+    """Raise `BadInput` with what helps where a model that is to guide does not know its landmarks, or cannot learn
+    them.
+    """
+    if isinstance(used, Clip):
+        if len(used) < LEAST_FACES:
+            raise BadInput(
+                f"--method guided needs landmarks, and the {len(used)} frames of {used.name} are too few to learn them "
+                f"from: give at least {LEAST_FACES}, or choose another method"
+            )
+    elif used.model.landmarks is None:
+        raise BadInput(
+            f"--method guided needs landmarks, and {used.path} does not know them: "
+            f"{how_to_learn(used.model, str(used.path))}, or choose another method"
+        )
+
+
+def opened_model(role: str, given: str, detector: Detector | None) -> UsedModel | Clip:
+    """Open a model or a clip and check, before any work, that it has or can get keypoints. Raises `BadInput`."""
+    path = Path(given)
+    if path.suffix.lower() == MODEL_SUFFIX and not path.exists():
+        raise BadInput(
+            f"{role} {path} does not exist: give a model ({MODEL_SUFFIX}), or a clip to build one of"
+        )
+    if path.suffix.lower() == MODEL_SUFFIX and not path.is_dir():
+        check_content(path)
+        model = load_model(path)
+        if model.faceframe is None:
+            raise BadInput(
+                f"{role} {path} has no keypoints: set them with `morphspace keypoints {path} --auto`, or with --set or "
+                "--from"
+            )
+        return UsedModel(model, path, digest_of_file(path))
+    if path.is_file() and path.suffix.lower() not in VIDEO_SUFFIXES:
+        raise BadInput(
+            f"{role} {path} is one file: give a model ({MODEL_SUFFIX}), or a folder, a quoted pattern or a video to "
+            "build one of"
+        )
+    clip = open_clip([given])
+    if len(clip) < MIN_FRAMES:
+        raise BadInput(
+            f"{role} {given} is a clip of {len(clip)} frame{'s' if len(clip) > 1 else ''}, too few for a model: "
+            f"give at least {MIN_FRAMES}, better some hundred, or a model ({MODEL_SUFFIX})"
+        )
+    if clip.sidecar.faceframe is None and detector is None:
+        raise BadInput(
+            f"{role} {given} is a clip, and the keypoints of its model cannot be found without the networks: "
+            f"{how_to_get_networks()}, or give a model with keypoints (`morphspace keypoints`)"
+        )
+    return clip
+
+
+def check_faces(
+    role: str, clip: Clip, folder: Path, components: int | None, detector: Detector | None
+) -> None:
+    """Raise `BadInput` where the keypoints of a clip's model are to be found and its frames show the detector no face.
+
+    A few frames are looked at, before the minutes of a build. A model of the clip that lies in `folder` is taken as it
+    is, so that one whose keypoints were set by hand is.
+    """
+    if detector is None or clip.sidecar.faceframe is not None:
+        return
+    if _found(clip, folder, max(COMPONENTS, components or 0))[1] is not None:
+        return
+    places = spread(len(clip.frame_names), LOOKED_AT)
+    if not any(detector(picture) is not None for picture in clip.images([int(place) for place in places])):
+        raise BadInput(
+            f"{role} {clip.name} is a clip, and none of {len(places)} frames spread over it shows a face, which the "
+            "keypoints of its model are found in: give a clip of a face, mark a faceframe in its clip.json, or give a "
+            "model with keypoints (`morphspace keypoints`)"
+        )
+
+
+def ready_model(
+    given: UsedModel | Clip, folder: Path, components: int | None, detector: Detector | None
+) -> Steps[UsedModel]:
+    """Give the model, found in `folder` or built into it where a clip was given, with keypoints. A generator of steps.
+
+    A model there is taken where its clip's digests, its settings and the version are the same.
+    """
+    if isinstance(given, UsedModel):
+        return given
+    asked = max(COMPONENTS, components or 0)
+    path, model = _found(given, folder, asked)
+    if model is None:
+        work = folder / f"{path.name}.work"
+        settings = ClipSettings(components=asked)
+        check_folder(folder)
+        with work_folder_of(work, path):
+            yield from written_model(given, settings, path, path.with_suffix(".html"), work)
+        shutil.rmtree(work, ignore_errors=True)
+        model = load_model(path)
+    if model.faceframe is None:
+        if detector is None:
+            raise BadInput(
+                f"the model {path} has no keypoints, and they cannot be found without the networks: "
+                f"{how_to_get_networks()}, or set them with `morphspace keypoints {path} --set`"
+            )
+        found = yield from detect_faceframe(model, detector)
+        with_detected(model, found).save(path)
+        model = load_model(path)
+    yield Step("models", 1, 1)
+    return UsedModel(model, path, digest_of_file(path))
+
+
+def _found(clip: Clip, folder: Path, components: int) -> tuple[Path, MorphModel | None]:
+    """Give the model built of this clip with these settings, or the free name for one."""
+    inputs = dict(zip(clip.frame_names, clip.digests(), strict=True))
+    size = default_size(clip.size, None)
+    number = 1
+    while True:
+        path = folder / f"{clip.name}{'' if number == 1 else f'-{number}'}{MODEL_SUFFIX}"
+        if not path.exists():
+            return path, None
+        model = load_model(path)
+        told = model.provenance
+        same = (
+            told.get("inputs") == inputs
+            and told.get("identity") == (clip.sidecar.identity or clip.name)
+            and told.get("consent") == clip.sidecar.consent
+            and told.get("licence") == clip.sidecar.licence
+            and told.get("frame_rate_hz") == clip.sidecar.frame_rate_hz
+            and (model.reference_faceframe is None) == (clip.sidecar.faceframe is None)
+            and told.get("components_asked") == components
+            and model.flow == methods.DEFAULT
+            and model.size == size
+            and told.get("versions") == versions()
+        )
+        if same:
+            return path, model
+        number += 1

@@ -1,15 +1,16 @@
-"""What a set may replace in its folder: files of its own, never an input, never a file of somebody else."""
+"""What may be replaced in an output folder: files of the verb itself, never an input, never a file of somebody else."""
 
 from __future__ import annotations
 
 import contextlib
 import dataclasses
 import glob
+import re
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from morphspace.errors import BadInput, UnreadableFile
+from morphspace.errors import BadInput, MorphspaceError, UnreadableFile
 from morphspace.io.clips import FRAMES_FOLDER, SIDECAR_NAME
 from morphspace.io.sidecars import read_json_object
 from morphspace.io.stimulus_sidecars import STIMULUS_FORMAT, essentials_in
@@ -32,6 +33,21 @@ OWN_FILES = (
     "index.html",
     RECORD_NAME,
 )
+MIMIC_FRAMES = "frames"
+MODELS_FOLDER = "models"  # models that were built on the way
+WORK_FOLDER = "mimic.work"  # finished frames of a run that was stopped
+VIDEO_NAME = "side-by-side.mp4"
+MIMIC_FILES = (
+    MIMIC_FRAMES,
+    VIDEO_NAME,
+    "loadings.csv",
+    "loadings.json",
+    "quality.csv",
+    "quality.json",
+    "index.html",
+    RECORD_NAME,
+)
+UNFINISHED = re.compile(r"\..*\.[a-z0-9_]{8}\.(png|mp4|csv|json|html|morph)")  # names of `whole_file`
 
 
 def files_named(request: Any) -> tuple[Path, ...]:
@@ -174,3 +190,67 @@ def _starts_like_ours(sidecar: Path) -> bool:
         raise UnreadableFile(
             f"cannot read {sidecar}: {error.strerror or error}; check the permissions"
         ) from error
+
+
+def check_ours(folder: Path, verb: str = "mimic", written: Sequence[str] = MIMIC_FILES) -> None:
+    """Raise `BadInput` where the folder holds something under a name of ours that no run of the verb left there.
+
+    A folder VERB.work there says that a run was stopped.
+    """
+    begun = (folder / f"{verb}.work").is_dir()
+    if not folder.is_dir() or begun or _object(folder / RECORD_NAME).get("verb") == verb:
+        return
+    for name in written:
+        path = folder / name
+        if path.exists() and not (path.is_dir() and not any(path.iterdir())):
+            lost = "be mixed with the new pictures" if name == MIMIC_FRAMES else "be written over"
+            raise BadInput(
+                f"{folder} is no folder of an earlier {verb}, and its {name} would {lost}: choose another output "
+                f"folder, or move {name} away"
+            )
+
+
+def remove_unfinished(folder: Path) -> None:
+    """Take away the files that a killed run was in the middle of writing; the folder must be ours."""
+    for place in (folder, *(folder / name for name in (MIMIC_FRAMES, WORK_FOLDER, MODELS_FOLDER))):
+        for path in place.glob(".*"):
+            if UNFINISHED.fullmatch(path.name) and not path.is_dir():
+                path.unlink(missing_ok=True)
+
+
+@contextlib.contextmanager
+def told_what_stays(folder: Path) -> Iterator[None]:
+    """Where the block ends in an error of ours, add to its words which models, begun or built in it, lie here now."""
+    before = _models(folder)
+    try:
+        yield
+    except MorphspaceError as error:
+        made = [path.name for path in _models(folder) if path not in before]
+        if not made:
+            raise
+        raise type(error)(
+            f"{error}; what was made for it stays in {folder / MODELS_FOLDER} ({', '.join(made)}), and the next run "
+            "here goes on from it"
+        ) from error
+
+
+def _models(folder: Path) -> list[Path]:
+    """Give the models, and the work folders of models that were begun."""
+    place = folder / MODELS_FOLDER
+    return sorted(path for kind in ("*.morph", "*.morph.work") for path in place.glob(kind))
+
+
+@contextlib.contextmanager
+def no_empty_folders(
+    folder: Path, inner: Sequence[str] = (MIMIC_FRAMES, WORK_FOLDER, MODELS_FOLDER)
+) -> Iterator[None]:
+    """Take away, however the block ends, what folders it made here that are empty: `inner` ones, this, its parents."""
+    places = [folder / name for name in inner]
+    made = [path for path in (*places, folder, *folder.parents) if not path.exists()]
+    begun = folder / MODELS_FOLDER
+    try:
+        yield
+    finally:
+        for path in (*begun.glob("*.morph.work"), *made):
+            if path.is_dir() and not any(path.iterdir()):
+                path.rmdir()

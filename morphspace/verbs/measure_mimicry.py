@@ -17,7 +17,7 @@ import numpy as np
 
 from morphspace.arrays import Image, LoadingTable
 from morphspace.errors import BadInput
-from morphspace.face.detector import Detector
+from morphspace.face.detector import Detector, own_detector
 from morphspace.imitation import Comparison, MaskedBasis, compare
 from morphspace.imitation.advice import chance_words, mean_apart, size_words, strange_words
 from morphspace.imitation.faces_seen import FacesSeen, look_for_faces
@@ -37,11 +37,10 @@ from morphspace.model.encode import check_components, components_used
 from morphspace.model.model import MorphModel, load_model
 from morphspace.outcome import RECORD_NAME, Outcome, check_file, check_folder, versions, write_record
 from morphspace.report.imitation_page import MeasuredImitation, imitation_page
+from morphspace.sets.protect import VIDEO_NAME, check_ours, no_empty_folders
 from morphspace.steps import Step, Steps
 from morphspace.stimuli.table_checks import check_reach
 from morphspace.storage import digest_of_file, write_text
-from morphspace.verbs.mimic_folder import VIDEO_NAME, check_ours, no_empty_folders
-from morphspace.verbs.mimic_sources import own_detector
 from morphspace.verbs.render import FRAME_RATE_HZ, rendered
 
 VERB = "measure-mimicry"

@@ -15,23 +15,20 @@ import numpy as np
 
 from morphspace.arrays import AnyArray
 from morphspace.errors import BadInput
-from morphspace.face.detector import Detector
+from morphspace.face.detector import Detector, own_detector
 from morphspace.io.clips import Clip, open_clip
 from morphspace.io.tables import write_loadings_table
 from morphspace.model.encode import check_components, first_components
 from morphspace.model.keypoints import how_to_learn
 from morphspace.model.model import MorphModel
 from morphspace.outcome import Outcome, check_folder, picture_names, versions, write_record
+from morphspace.report import mimic_advice
 from morphspace.report.mimic_page import MimicryShown, mimic_page
 from morphspace.requests import ClipText
-from morphspace.steps import Steps
-from morphspace.storage import write_text
-from morphspace.transfer.mimicry import METHODS, WITH_REST, Method, auto_gain, mimic, offset_of
-from morphspace.transfer.neutral import AUTOMATIC, neutral_names, rest_of
-from morphspace.transfer.quality import reach_of
-from morphspace.verbs import mimic_advice
-from morphspace.verbs.mimic_folder import (
-    FRAMES_FOLDER,
+from morphspace.sets.mimicry import FinishedFrames, frame_steps, video_steps
+from morphspace.sets.models import check_apart, check_faces, check_landmarks, opened_model, ready_model
+from morphspace.sets.protect import (
+    MIMIC_FRAMES,
     MODELS_FOLDER,
     VIDEO_NAME,
     WORK_FOLDER,
@@ -40,21 +37,13 @@ from morphspace.verbs.mimic_folder import (
     remove_unfinished,
     told_what_stays,
 )
-from morphspace.verbs.mimic_frames import FinishedFrames, frame_steps, video_steps
-from morphspace.verbs.mimic_sources import (
-    Driver,
-    UsedModel,
-    check_apart,
-    check_faces,
-    check_landmarks,
-    clip_driver,
-    opened_model,
-    own_detector,
-    own_detector_of,
-    ready_model,
-    training_driver,
-)
-from morphspace.verbs.mimic_table import (
+from morphspace.steps import Steps
+from morphspace.storage import write_text
+from morphspace.transfer.driver import Driver, UsedModel, clip_driver, own_detector_of, training_driver
+from morphspace.transfer.mimicry import METHODS, WITH_REST, Method, auto_gain, mimic, offset_of
+from morphspace.transfer.neutral import AUTOMATIC, neutral_names, rest_of
+from morphspace.transfer.quality import reach_of
+from morphspace.transfer.quality_table import (
     BEYOND,
     FLAGS,
     FOLDS,
@@ -135,11 +124,11 @@ def _steps(
     source, target = models
     shown_target, rank_notes = first_components(target.model, request.components)
     driver = training_driver(source) if request.frames is None else clip_driver(source, request.frames)
-    pictures = tuple(folder / FRAMES_FOLDER / name for name in picture_names(driver.names))
+    pictures = tuple(folder / MIMIC_FRAMES / name for name in picture_names(driver.names))
     video = folder / VIDEO_NAME
     check_apart(folder, driver.files)
     _check_inputs_stay((*pictures, video), [*driver.files, *_files_of(opened)])
-    check_folder(folder / FRAMES_FOLDER)
+    check_folder(folder / MIMIC_FRAMES)
     remove_unfinished(folder)
     method, method_notes = _method(request, source, target)
     rest = rest_of(source.model, shown_target, request.neutral)
@@ -186,7 +175,7 @@ def _steps(
         *looks.notes,
         *advice,
     )
-    notes += _clipped_note(made, shown_target) + _stale_note(folder / FRAMES_FOLDER, pictures)
+    notes += _clipped_note(made, shown_target) + _stale_note(folder / MIMIC_FRAMES, pictures)
     told = {
         **settings,
         "source": {

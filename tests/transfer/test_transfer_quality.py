@@ -9,7 +9,7 @@ from morphspace.face.faceframe import FaceFrame
 from morphspace.model.landmarks import LANDMARKS, LandmarkRegression, landmark_places
 from morphspace.transfer.mimicry import mimic, offset_of
 from morphspace.transfer.quality import Reach, openings_of, reach_of
-from morphspace.verbs.mimic_table import BEYOND, WIDER, FrameMade
+from morphspace.transfer.quality_table import BEYOND, WIDER, FrameMade
 
 FRAME = FaceFrame((20.0, 30.0), (40.0, 30.0), (30.0, 44.0))
 EYES_PX = 20.0

@@ -35,17 +35,17 @@ from morphspace.model.keypoints import how_to_learn, required_landmarks
 from morphspace.model.model import Loadings, MorphModel, inner_product, load_model, model_digest
 from morphspace.model.morph import Morph, parts_of, vector_of
 from morphspace.report.mimic_page import HEADINGS, LEFT_OUT
+from morphspace.sets import mimicry, models
+from morphspace.sets.mimicry import FinishedFrames, frame_steps
 from morphspace.steps import WORKERS, result_of
 from morphspace.transfer import neutral
+from morphspace.transfer.driver import Driver
 from morphspace.transfer.mimicry import METHODS, Quality, auto_gain, mimic, offset_of
 from morphspace.transfer.neutral import Recentring
 from morphspace.transfer.quality import Reach, reach_of
+from morphspace.transfer.quality_table import COLUMNS, DECIMALS, OUT_OF_RANGE, FaceSeen, FrameMade, made_of
 from morphspace.verbs import mimic as verb
-from morphspace.verbs import mimic_frames, mimic_sources
 from morphspace.verbs.mimic import MimicRequest
-from morphspace.verbs.mimic_frames import FinishedFrames, frame_steps
-from morphspace.verbs.mimic_sources import Driver
-from morphspace.verbs.mimic_table import COLUMNS, DECIMALS, OUT_OF_RANGE, FaceSeen, FrameMade, made_of
 
 ROUNDING = 0.51 / 255  # of an 8-bit file
 LOOSE = 1000.0  # SD; a bound that bounds nothing here
@@ -235,7 +235,7 @@ def test_a_stopped_run_goes_on_and_gives_the_same_bytes(work, monkeypatch):
     (work / "out" / "frames" / "frame_001.png").write_bytes(b"another picture")
     written = []
     monkeypatch.setattr(
-        mimic_frames,
+        mimicry,
         "write_image",
         lambda path, image: (written.append(path.name), write_image(path, image))[1],
     )
@@ -285,7 +285,7 @@ def test_a_long_clip_holds_a_few_frames_at_a_time(work, actor, other):
     made = result_of(frame_steps(actor, mimic(actor, other), reach_of(actor, other, 1.0), finished, None))
     gc.collect()
     assert len(made) == total and alive[0] <= 1
-    result_of(mimic_frames.video_steps(driver, pictures, work / "v.mp4"))
+    result_of(mimicry.video_steps(driver, pictures, work / "v.mp4"))
     assert most[0] <= 3 * (WORKERS + 2)
 
 
@@ -458,7 +458,7 @@ def test_a_model_is_built_of_a_clip_and_found_again(work, actor, monkeypatch):
         raise AssertionError("it was built again")
         yield
 
-    monkeypatch.setattr(mimic_sources, "written_model", never)
+    monkeypatch.setattr(models, "written_model", never)
     result_of(verb.run(request))
     shutil.rmtree(work / "out" / "models")
     with pytest.raises(AssertionError, match="built again"):
@@ -811,7 +811,7 @@ def test_the_mark_is_there_before_any_picture(work, monkeypatch):
         seen.append((work / "out" / "mimic.work").is_dir() and any((work / "out" / "mimic.work").iterdir()))
         raise UnwritableFile("full")
 
-    monkeypatch.setattr(mimic_frames, "write_image", written)
+    monkeypatch.setattr(mimicry, "write_image", written)
     with pytest.raises(UnwritableFile):
         run(work)
     assert seen and all(seen) and not (work / "out").exists()

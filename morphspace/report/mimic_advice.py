@@ -8,13 +8,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from morphspace.arrays import AnyArray
-from morphspace.face.detector import Detector
+from morphspace.face.detector import Detector, how_to_get_networks
 from morphspace.face.mesh import LOWER_LIP_TOP, MOUTH_CORNERS, UPPER_LIP_BOTTOM, FacePoints
 from morphspace.model.encode import STRANGE
 from morphspace.model.model import MorphModel
+from morphspace.transfer.driver import Driver
 from morphspace.transfer.neutral import Rest
-from morphspace.verbs.mimic_sources import Driver, how_to_get_networks
-from morphspace.verbs.mimic_table import BEYOND, FOLDS, NO_FACE, OUT_OF_RANGE, TURNED, FrameMade, rounded
+from morphspace.transfer.quality_table import BEYOND, FOLDS, NO_FACE, OUT_OF_RANGE, TURNED, FrameMade, rounded
 
 LITTLE_KEPT = 0.3  # median share of the motion; below it the target hardly follows
 WANTED_GAIN = (

@@ -27,14 +27,14 @@ from morphspace.model.model import MorphModel
 from morphspace.model.morph import vector_of
 from morphspace.outcome import versions
 from morphspace.report.mimic_page import PAIRS_SHOWN
+from morphspace.sets.sources import FRAME_RATE_HZ
 from morphspace.steps import Step, Steps, in_order
 from morphspace.storage import digest_of_file, digest_of_json, json_text, write_text
+from morphspace.transfer.driver import Driver
 from morphspace.transfer.mimicry import Mimic, Quality, offset_of
 from morphspace.transfer.probable import InnerProducts
 from morphspace.transfer.quality import Reach, ReachOf
-from morphspace.verbs.mimic_sources import Driver
-from morphspace.verbs.mimic_table import FaceSeen, FrameMade, made_of
-from morphspace.verbs.render import FRAME_RATE_HZ
+from morphspace.transfer.quality_table import FaceSeen, FrameMade, made_of
 
 WORK_FORMAT = "morphspace-mimic-frame-3"
 KEY_DIGITS = 32
