@@ -22,16 +22,15 @@ from bench_tables import at_least, at_most, print_table, tell
 
 from morphspace.arrays import AnyArray, Image, Mask
 from morphspace.avatar import Avatar, AvatarSettings, blend_steps
+from morphspace.face.detector import load_detector
 from morphspace.face.faceframe import mouth_region, rigid_region
-from morphspace.face.finder import own_finder
 from morphspace.face.registration import fitted_similarity
 from morphspace.flow.baselines import LUMA
 from morphspace.grid.warp import apply_affine
 from morphspace.io.images import write_image
 from morphspace.linear.quality import psnr_db
 from morphspace.model.model import MorphModel
-from morphspace.model.reference import spread
-from morphspace.steps import result_of
+from morphspace.steps import result_of, spread
 
 GROUPS = (("lp_d18", "lp_d13", "lp_d0", "lp_d9"), ("lp_d18", "lp_d13", "lp_d6", "lp_d9"))
 JUDGED = 24  # expressions of each identity, evenly spread
@@ -72,7 +71,7 @@ def avatar(data: Path, work: Path, judge: str) -> None:
     for group in GROUPS:
         models = [keyed_model(data, name, work) for name in group]
         started = time.perf_counter()
-        blend = _blend(models, AvatarSettings(finder=own_finder()), work / "avatar" / "-".join(group))
+        blend = _blend(models, AvatarSettings(detector=load_detector()), work / "avatar" / "-".join(group))
         tell(
             f"avatar: {', '.join(group)} took {time.perf_counter() - started:.0f} s (less where it was kept)"
         )

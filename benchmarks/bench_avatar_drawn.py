@@ -21,8 +21,7 @@ from morphspace.io.images import write_image
 from morphspace.io.sidecars import MarkedFaceframe, Sidecar, write_sidecar
 from morphspace.model.from_clip import build_model
 from morphspace.model.model import MorphModel
-from morphspace.model.reference import spread
-from morphspace.steps import result_of
+from morphspace.steps import result_of, spread
 from morphspace.synthetic.actor import Actor, ActorFrame
 from morphspace.synthetic.drawn import drawn_actor
 from morphspace.synthetic.parameters import ACTIONS, SIGNED_ACTIONS, Expression, Identity

@@ -30,7 +30,7 @@ from morphspace.face.faceframe import mouth_region
 from morphspace.flow.baselines import LUMA
 from morphspace.grid import warp
 from morphspace.io.images import write_image
-from morphspace.model.reference import spread
+from morphspace.steps import spread
 
 EXPRESSIONS = 12  # of each identity, evenly spread over those that are blended
 LIPS = slice(48, 68)  # of the 68 points

@@ -18,8 +18,8 @@ from bench_tables import tell
 
 from morphspace.arrays import AnyArray, Displacement, Image, Mask
 from morphspace.errors import BadInput
+from morphspace.face.detector import Detector
 from morphspace.face.faceframe import Frame
-from morphspace.face.finder import FaceFinder
 from morphspace.flow import Flow, FlowFunction, FlowMethod, methods
 from morphspace.io.clips import open_clip
 from morphspace.io.framing import FramedClip, Framing
@@ -72,18 +72,18 @@ class Trial:
 
 
 def trial(
-    data: Path, name: str, work: Path, finder: FaceFinder | None = None, *, anchored: bool = False
+    data: Path, name: str, work: Path, detector: Detector | None = None, *, anchored: bool = False
 ) -> Trial:
     """Build the model of a clip's training frames; what is costly is taken from the work folder where it is there.
 
-    With a `finder` the build and the alignment of held-out frames use the points of the face.
+    With a `detector` the build and the alignment of held-out frames use the points of the face.
     Call it inside `remembered_flow`, so that the flow of held-out frames is kept as well.
     """
     source = clip_frames(data, name)
     train, test = split(len(source.names))
     kept = FramedClip(source.clip.subset(train), source.framing)
     tell(f"{name}: model of {len(train)} frames")
-    settings = BuildSettings(finder=finder, anchored=anchored)
+    settings = BuildSettings(detector=detector, anchored=anchored)
     build = result_of(build_steps(kept, settings, work / "builds" / name, {"identity": name}))
     frames = {index: build.frame(place)[0] for place, index in enumerate(train)}
     tell(f"{name}: {len(test)} held-out frames")

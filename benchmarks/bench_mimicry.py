@@ -23,8 +23,7 @@ from morphspace.io.images import write_image
 from morphspace.model.from_clip import build_model
 from morphspace.model.keypoints import affine_between_models, landmarks_of
 from morphspace.model.model import MorphModel, load_model
-from morphspace.model.reference import spread
-from morphspace.steps import result_of
+from morphspace.steps import result_of, spread
 from morphspace.transfer.mimicry import MAX_SD, METHODS, Method, auto_gain, mimic, offset_of
 from morphspace.verbs import keypoints
 

@@ -63,7 +63,7 @@ def mimicry_speed(data: Path, work: Path, rounds: int) -> None:
     name = driver.names[DRIVEN]
     picture = next(iter(driver.given([DRIVEN])))
     flow = source.flow_from_reference
-    look = (lambda image: None) if source.anchor is None else source.anchor.finder.find
+    look = (lambda image: None) if source.anchor is None else source.anchor.detector
     found = look(picture)
     aligned = source.align(picture, name, found).image
     offset = driver.offset(name, picture, found)

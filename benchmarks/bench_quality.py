@@ -9,8 +9,8 @@ from bench_clips import PixelPCA, Trial, remembered_flow, trial
 from bench_tables import at_least, print_table, tell
 
 from morphspace.arrays import Displacement, Image
+from morphspace.face.detector import load_detector
 from morphspace.face.faceframe import Frame
-from morphspace.face.finder import own_finder
 from morphspace.flow.starts import photometric_error
 from morphspace.grid import warp
 from morphspace.linear.quality import psnr_db
@@ -124,12 +124,12 @@ def with_landmarks(data: Path, clips: tuple[str, ...], work: Path) -> None:
         "median / largest root mean square of what the flow leaves of the training frames, colour in 8-bit codes.\n"
     )
     rows: list[list[object]] = []
-    finder = own_finder()
+    detector = load_detector()
     for name in clips:
         columns = []
-        for one_finder, anchored in ((None, False), (finder, False), (finder, True)):
+        for one_detector, anchored in ((None, False), (detector, False), (detector, True)):
             with remembered_flow(work / "flow"):
-                one = trial(data, name, work, one_finder, anchored=anchored)
+                one = trial(data, name, work, one_detector, anchored=anchored)
                 scores = _held_out_scores(one)
             columns.append((one, scores))
         for k in COMPONENTS:

@@ -23,8 +23,7 @@ from morphspace.io.stimulus_sidecars import read_stimulus_sidecar
 from morphspace.io.video import read_frames
 from morphspace.model import fit
 from morphspace.model.model import Loadings, MorphModel
-from morphspace.model.reference import spread
-from morphspace.steps import in_order, result_of
+from morphspace.steps import in_order, result_of, spread
 from morphspace.stimuli.image_statistics import image_statistics
 from morphspace.verbs import caricature, replay
 from morphspace.verbs.caricature import CaricatureRequest

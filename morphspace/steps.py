@@ -35,6 +35,15 @@ class Step:
 Steps = Generator[Step, None, Result]
 
 
+def spread(count: int, most: int) -> list[int]:
+    """Return at most `most` of `count` places, evenly spread in rising order, the first and the last among them."""
+    number = min(count, most)
+    if number < 2:
+        return [0] * number
+    step = (count - 1) / (number - 1)
+    return [*dict.fromkeys(round(place * step) for place in range(number - 1)), count - 1]
+
+
 def result_of(steps: Generator[Step, None, Result], on_step: Callable[[Step], None] | None = None) -> Result:
     """Run the work to its end, telling `on_step` of each finished piece, and give its result."""
     while True:

@@ -27,9 +27,8 @@ from morphspace.grid.warp import move_points
 from morphspace.model.keypoints import affine_between, lip_of, reference_to_mean, required_faceframe
 from morphspace.model.model import MorphModel
 from morphspace.model.passes import Build, BuildSettings, build_steps
-from morphspace.model.reference import spread
 from morphspace.model.work_frames import FLOW_VERSION, is_whole
-from morphspace.steps import Step, Steps, in_order
+from morphspace.steps import Step, Steps, in_order, spread
 from morphspace.storage import KEY_DIGITS, digest_of_json, read_container, write_container
 
 BLEND_FORMAT = "morphspace-blend-1"
@@ -286,9 +285,9 @@ def _build(
     """
     settings = studio.settings
     asked = BuildSettings(
-        components=settings.components, flow=settings.flow, finder=settings.finder, registration="none"
+        components=settings.components, flow=settings.flow, detector=settings.detector, registration="none"
     )
-    if settings.finder is None:
+    if settings.detector is None:
         index = _nearest_to_rest(studio, chosen)
         source = chosen[index][0]
         points = _faceframe_in(studio, source, chosen[index][1])

@@ -11,7 +11,7 @@ import numpy as np
 from morphspace.arrays import AnyArray
 from morphspace.avatar.originals import Clip
 from morphspace.errors import BadInput, SizeMismatch
-from morphspace.face.finder import FaceFinder
+from morphspace.face.detector import Detector
 from morphspace.flow import methods
 from morphspace.model.keypoints import lip_of, required_faceframe
 from morphspace.model.model import MorphModel
@@ -37,7 +37,7 @@ class AvatarSettings:
     for as sharp as the sources | `surround` the identity whose hair, neck and background stay, "flat" for grey, None
     for the reference identity's | `correspondence` of people: that of their mean faces, "rest", or at the mouth one for
     each "expression" | `flow` between people, and of the final build | `components` of the result |
-    `finder` finds the face in the blended pictures for the final build | `clips` that the models were built from, one a
+    `detector` of faces in the blended pictures for the final build | `clips` that the models were built from, one a
     model, for their own frames in place of what the models make of them | `provenance` joins the result's.
     """
 
@@ -52,7 +52,7 @@ class AvatarSettings:
     correspondence: str = EXPRESSION
     flow: str = methods.DEFAULT
     components: int = COMPONENTS
-    finder: FaceFinder | None = None
+    detector: Detector | None = None
     clips: Sequence[Clip] | None = None
     provenance: Mapping[str, Any] = field(default_factory=dict)
 

@@ -17,8 +17,7 @@ from typing import Any
 import numpy as np
 
 from morphspace.arrays import Affine, AnyArray, Displacement, Image, Points
-from morphspace.face.detector import models_present
-from morphspace.face.finder import FaceFinder, own_finder
+from morphspace.face.detector import Detector, load_detector, models_present
 from morphspace.face.mesh import (
     FACE_OUTLINE,
     LEFT_BROW,
@@ -55,17 +54,17 @@ ONE_PLACE_PX = 1.0  # points nearer than this in the reference are one: closed l
 
 @dataclass(frozen=True, eq=False)
 class FaceAnchor:
-    """What holds frames to the face of the reference: the `finder`, and the `face` it found there."""
+    """What holds frames to the face of the reference: the `detector`, and the `face` it found there."""
 
-    finder: FaceFinder
+    detector: Detector
     face: FacePoints
 
     def movement(self, image: Image, found: FacePoints | None = None) -> Affine | None:
         """Give where the registration of an image may start, (2, 3); None where no face is found in it.
 
-        `found` is what `finder` found in it, looked for where None.
+        `found` is what `detector` found in it, looked for where None.
         """
-        found = found or self.finder.find(image)
+        found = found or self.detector(image)
         return None if found is None else rigid_movement(self.face, found)
 
     def anchored(self, find: FlowFunction, height: int, width: int) -> FlowFunction:
@@ -76,7 +75,7 @@ class FaceAnchor:
         through = spline_from(self.face.points[list(HELD)], height, width)
 
         def to_frame(frame: Image, start: Displacement | None = None) -> Flow:
-            found = self.finder.find(frame) if start is None else None
+            found = self.detector(frame) if start is None else None
             if found is None:
                 return find(frame, start)
             spline = unfolded(through(found.points[list(HELD)]))  # a turned head's points may change sides
@@ -88,7 +87,7 @@ class FaceAnchor:
     @cached_property
     def identity(self) -> list[Any]:
         """What the anchor's results depend on, as JSON."""
-        return [dict(self.finder.identity), [[float(x), float(y)] for x, y in self.face.points]]
+        return [dict(self.detector.identity), [[float(x), float(y)] for x, y in self.face.points]]
 
 
 def rigid_movement(reference: FacePoints, frame: FacePoints) -> Affine:
@@ -97,10 +96,10 @@ def rigid_movement(reference: FacePoints, frame: FacePoints) -> Affine:
     return fitted_similarity(reference.points[rigid], frame.points[rigid])
 
 
-def anchor_on(reference: Image, finder: FaceFinder) -> FaceAnchor | None:
+def anchor_on(reference: Image, detector: Detector) -> FaceAnchor | None:
     """Give the anchor of a reference (h, w, 3); None where no face is found in it."""
-    face = finder.find(reference)
-    return None if face is None else FaceAnchor(finder, face)
+    face = detector(reference)
+    return None if face is None else FaceAnchor(detector, face)
 
 
 def anchor_of_build(reference: Image, provenance: Mapping[str, Any]) -> FaceAnchor | None:
@@ -112,7 +111,7 @@ def anchor_of_build(reference: Image, provenance: Mapping[str, Any]) -> FaceAnch
     known = isinstance(told, Mapping) and bool(told.get("reference_has_face"))
     if not known or not models_present():
         return None
-    return anchor_on(np.array(reference), own_finder())
+    return anchor_on(np.array(reference), load_detector())
 
 
 def was_anchored(provenance: Mapping[str, Any]) -> bool:

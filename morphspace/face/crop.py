@@ -12,8 +12,13 @@ from typing import Any
 
 import numpy as np
 
+from morphspace.errors import BadInput
+from morphspace.face.detector import Detector
 from morphspace.face.mesh import FacePoints
+from morphspace.io.clips import Clip
+from morphspace.steps import Step, Steps, in_order, spread
 
+CROP_FRAMES = 24  # of a clip, evenly spread, in which the face is looked for to crop it
 # From the middle between the eyes, in eye distances. The crown lies 1.5 to 1.8 above, the chin 1.8 to 1.9 below.
 ABOVE, BELOW, BESIDE = 1.95, 2.35, 1.75
 MOST_OF_PATH = (5, 95)  # percentiles of where the head was; a frame that found something else must not decide
@@ -32,6 +37,25 @@ class FoundCrop:
     def document(self) -> dict[str, Any]:
         """What a model's provenance says of how the crop was found."""
         return {"frames": self.frames, "found": self.found, "eyes_px": round(self.eyes_px, 2)}
+
+
+def crop_steps(clip: Clip, detector: Detector, aspect: float) -> Steps[FoundCrop]:
+    """Find the face in a spread of frames and give one crop for all of them; a generator of steps.
+
+    `aspect` is width over height. Raises `BadInput` where a face was found in less than half of them.
+    """
+    looked = spread(len(clip), CROP_FRAMES)
+    faces = []
+    for done, face in enumerate(in_order(detector, clip.images(looked)), 1):
+        faces.append(face)
+        yield Step("crop", done, len(looked))
+    found = [face for face in faces if face is not None]
+    if 2 * len(found) < len(looked):
+        raise BadInput(
+            f"a face was found in {len(found)} of {len(looked)} frames of {clip.name}, too few to crop the clip: give "
+            "--crop x,y,w,h, or leave it out"
+        )
+    return FoundCrop(head_crop(found, clip.size, aspect), median_eyes_px(found), len(looked), len(found))
 
 
 def head_crop(

@@ -49,6 +49,28 @@ RESTING_PITCH_DEG = 23.5
 MAX_TURN_DEG = 20.0  # beyond it a driving face is flagged: the far side is hidden
 
 
+# fmt: off
+MIDDLE = (0, 1, 2, 4, 5, 6, 8, 9, 10, 11, 12, 13, 14, 15,
+          16, 17, 18, 19, 94, 151, 152, 164, 168, 175, 195, 197, 199, 200)
+# fmt: on
+
+
+def _opposite() -> tuple[int, ...]:
+    """Pair the sides, which are numbered one after the other in the same order.
+
+    The pairs were found by reading frames and their mirror images with the mesh network (ours).
+    """
+    order = np.arange(MESH_COUNT)
+    aside = np.setdiff1d(order, MIDDLE)
+    one, other = aside.reshape(2, -1)
+    order[one], order[other] = other, one
+    return tuple(order.tolist())
+
+
+OPPOSITE = _opposite()
+"""For each of the 468 points of the mesh, the one opposite; a point of the middle line is its own."""
+
+
 @dataclass(frozen=True, eq=False)
 class FacePoints:
     """Points on a face: `points` (n, 2) px | `score` of the face in [0, 1] | `scheme`, what each point is.

@@ -1,7 +1,7 @@
 """The points of the face in every frame of a clip: found once a frame, and kept in the work folder (ours).
 
 A detector sees where a face stands without knowing the reference, so it tells a head that moved far from one that
-changed, which dense flow cannot. What a build takes from the points is in `anchoring`.
+changed, which dense flow cannot. What a build takes from the points is in `face.anchor`.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ import numpy as np
 
 from morphspace.arrays import Image
 from morphspace.errors import UnreadableFile
-from morphspace.face.finder import FaceFinder
+from morphspace.face.detector import Detector
 from morphspace.face.mesh import FacePoints
 from morphspace.io.framing import FrameSource, same_size
 from morphspace.steps import Step, Steps, in_order
@@ -23,10 +23,10 @@ POINTS_FORMAT = "morphspace-frame-points-1"
 
 
 def points_steps(
-    source: FrameSource, finder: FaceFinder, work_folder: Path
+    source: FrameSource, detector: Detector, work_folder: Path
 ) -> Steps[tuple[FacePoints | None, ...]]:
     """Find the face in each frame, or take it from the work folder; None where there is none. A generator of steps."""
-    common = [POINTS_FORMAT, cv2.__version__, dict(finder.identity)]
+    common = [POINTS_FORMAT, cv2.__version__, dict(detector.identity)]
     files = [
         work_folder / f"{digest_of_json([*common, digest])[:KEY_DIGITS]}.points" for digest in source.digests
     ]
@@ -34,7 +34,7 @@ def points_steps(
 
     def find(item: tuple[int, Image]) -> None:
         index, image = item
-        _write(files[index], finder.find(image))
+        _write(files[index], detector(image))
 
     finished = len(files) - len(missing)
     for _ in in_order(find, same_size(source, missing)):

@@ -11,9 +11,9 @@ import numpy as np
 
 from morphspace.arrays import Mask
 from morphspace.errors import BadInput
-from morphspace.face.crop import FoundCrop
+from morphspace.face.crop import FoundCrop, crop_steps
+from morphspace.face.detector import Landmarks, detector_for, load_detector
 from morphspace.face.faceframe import FaceFrame, RegistrationKind
-from morphspace.face.finder import own_finder
 from morphspace.flow import methods
 from morphspace.flow.starts import StartKind
 from morphspace.grid.warp import apply_affine, inverse_affine
@@ -21,7 +21,6 @@ from morphspace.io.clips import Clip, open_clip
 from morphspace.io.framing import FramedClip, Framing
 from morphspace.io.images import read_mask
 from morphspace.io.sidecars import MarkedFaceframe
-from morphspace.model.finding import Landmarks, crop_steps, finder_for
 from morphspace.model.model import MorphModel
 from morphspace.model.passes import COMPONENTS, Build, BuildSettings, build_steps
 from morphspace.outcome import versions
@@ -114,12 +113,12 @@ def build_model(*sources: str | Path, work_folder: Path | None = None, **setting
 
 def build_clip(clip: Clip, asked: ClipSettings, work_folder: Path) -> Steps[tuple[Build, tuple[str, ...]]]:
     """Build a model from an open clip; return the build, and notes on what was done to the frames."""
-    finder, missing = finder_for(asked.landmarks)
+    detector, missing = detector_for(asked.landmarks)
     notes = list(missing)
     crop, found_crop = asked.crop, None
     if crop == "auto":
         width, height = asked.size or DEFAULT_SIZE
-        found_crop = yield from crop_steps(clip, finder or own_finder(), width / height)
+        found_crop = yield from crop_steps(clip, detector or load_detector(), width / height)
         crop = found_crop.box
     framing = Framing(clip.size, crop, asked.size or default_size(clip.size, crop))
     source = FramedClip(clip, framing)
@@ -140,7 +139,7 @@ def build_clip(clip: Clip, asked: ClipSettings, work_folder: Path) -> Steps[tupl
         mask=mask,
         faceframe=faceframe,
         faceframe_index=faceframe_index,
-        finder=finder,
+        detector=detector,
         anchored=asked.landmarks == "anchor",
     )
     build = yield from build_steps(

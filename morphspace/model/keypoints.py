@@ -8,22 +8,21 @@ landmarks of a face lie for given loadings (`landmarks.learn_landmarks`).
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, Literal, Protocol, TypeAlias
+from typing import Any, Literal, TypeAlias
 
 import numpy as np
 
-from morphspace.arrays import Affine, AnyArray, Displacement, Image, Points
+from morphspace.arrays import Affine, AnyArray, Displacement, Points
 from morphspace.errors import BadInput
+from morphspace.face.detector import Detector
 from morphspace.face.faceframe import FaceFrame
 from morphspace.face.mesh import POINT_COUNT
 from morphspace.grid import warp
 from morphspace.io.framing import Framing
 from morphspace.model.landmarks import LEAST_FACES, LandmarkRegression, learn_landmarks
 from morphspace.model.model import MorphModel
-from morphspace.model.reference import spread
-from morphspace.steps import Step, Steps
+from morphspace.steps import Step, Steps, spread
 
 Lip: TypeAlias = Literal["philtrum", "upper-lip"]
 """What the third point marks: the centre of the philtrum (Nagle), or the bottom of the upper lip (WebMorph)."""
@@ -37,21 +36,6 @@ LEAST_FOUND = 3  # faces; a median of fewer is one detection
 MARK_AGAIN = "mark them again"
 TURN_UPRIGHT = "mark the eyes above the lip, or turn the face upright"
 WIDE_SPREAD = 0.05  # of the eye distance; beyond it the detections contradict each other
-
-
-class HasFaceframe(Protocol):
-    """What a detector finds in an image, as far as it matters here: `points` (n, 2) px, the same ones in every face."""
-
-    @property
-    def points(self) -> Points:
-        """All points, (n, 2) px of the image."""
-
-    def faceframe(self) -> FaceFrame:
-        """Give the three points in px of the image."""
-
-
-FaceDetector: TypeAlias = Callable[[Image], HasFaceframe | None]
-"""Looks at an image (h, w, 3) and gives what it found, or None where there is no face."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -248,9 +232,7 @@ def face_to_mean(displacement: Displacement, points: Points) -> Points:
     return warp.move_points(warp.invert(displacement), points)
 
 
-def detect_faceframe(
-    model: MorphModel, detect: FaceDetector, *, faces: int = FACES
-) -> Steps[DetectedFaceframe]:
+def detect_faceframe(model: MorphModel, detect: Detector, *, faces: int = FACES) -> Steps[DetectedFaceframe]:
     """Find the faceframe on the mean face of a model: on the mean and on up to `faces` of its training faces.
 
     The training faces come back from their loadings; what `detect` finds in each is carried to the mean face through

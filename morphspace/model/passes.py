@@ -20,6 +20,7 @@ from morphspace.arrays import Affine, AnyArray, Displacement, Image, Mask
 from morphspace.errors import BadInput
 from morphspace.face import regions
 from morphspace.face.anchor import FaceAnchor, rigid_movement
+from morphspace.face.detector import Detector
 from morphspace.face.expression import far_from_rest, mouth_gap
 from morphspace.face.faceframe import (
     FaceFrame,
@@ -29,7 +30,6 @@ from morphspace.face.faceframe import (
     mouth_region,
     rigid_region,
 )
-from morphspace.face.finder import FaceFinder
 from morphspace.face.mesh import FacePoints
 from morphspace.face.points_in_clip import points_steps
 from morphspace.flow import Flow, methods, starts
@@ -41,10 +41,10 @@ from morphspace.linear.rows import RowFile
 from morphspace.model.keypoints import detect_faceframe, with_detected
 from morphspace.model.model import Loadings, MorphModel, inner_product, model_digest
 from morphspace.model.morph import Morph, invert_mean_shape, morph_of, parts_of, resource
-from morphspace.model.reference import POOL, ReferenceChoice, mouth_contrast, search, shrunk, spread
+from morphspace.model.reference import POOL, ReferenceChoice, mouth_contrast, search, shrunk
 from morphspace.model.warp_weight import WeightTrial, best_trial, trial_weights
 from morphspace.model.work_frames import FramePlan, frame_steps, read_aligned, read_work_frame
-from morphspace.steps import Step, Steps, in_order
+from morphspace.steps import Step, Steps, in_order, spread
 from morphspace.storage import digest_of_array, digest_of_json
 
 MIN_FRAMES = 3
@@ -58,7 +58,7 @@ class BuildSettings:
     `start` "auto" tries hard frames again from a neighbour's field (`flow.starts`): meant for frames in the order of
     time, harmless for others. `mask` (h, w) is drawn on the reference, None for an ellipse over the face. `faceframe`
     is marked on the frame `faceframe_index`; unmoved, it also places the rigid part and the mask, so the two frames
-    should hold the head alike. `finder` finds the face in each frame; what follows from it is in
+    should hold the head alike. `detector` finds the face in each frame; what follows from it is in
     `build_steps`, and with `anchored` the flow is held to its points.
     """
 
@@ -71,7 +71,7 @@ class BuildSettings:
     mask: Mask | None = None
     faceframe: FaceFrame | None = None
     faceframe_index: int | None = None
-    finder: FaceFinder | None = None
+    detector: Detector | None = None
     anchored: bool = False
 
 
@@ -113,7 +113,7 @@ def build_steps(
     with at least `identity`, `framing` and `versions`, to which the build adds what it chose. Raises `BadInput` for
     fewer than three frames, frames of different sizes, or a mask that does not fit.
 
-    With a finder, the points of the face give what was not given: rigid part and mask, a start for each frame's
+    With a detector, the points of the face give what was not given: rigid part and mask, a start for each frame's
     registration, and the keypoints on the mean face; with `anchored` also an anchor for each frame's flow
     (`anchoring`), and the choice of the reference among those that serve nearly as well (`facerest`). A frame without a
     face goes without.
@@ -127,8 +127,8 @@ def build_steps(
     starts.check_start(settings.start)
     work_folder.mkdir(parents=True, exist_ok=True)
     found: tuple[FacePoints | None, ...] = (None,) * count
-    if settings.finder is not None:
-        found = yield from points_steps(source, settings.finder, work_folder)
+    if settings.detector is not None:
+        found = yield from points_steps(source, settings.detector, work_folder)
     choice = yield from _choose_reference(source, settings, found)
     face = found[choice.index]
     (reference,) = source.images([choice.index])
@@ -149,7 +149,9 @@ def build_steps(
         registration=settings.registration,
         flow=settings.flow,
         start=settings.start,
-        anchor=FaceAnchor(settings.finder, face) if settings.finder and face and settings.anchored else None,
+        anchor=FaceAnchor(settings.detector, face)
+        if settings.detector and face and settings.anchored
+        else None,
     )
     movements = [_movement(face, one) for one in found]
     files = yield from frame_steps(source, plan, work_folder, movements)
@@ -182,7 +184,7 @@ def build_steps(
         "reference": {"frame": choice.name, "reason": choice.reason, "sha256": digest_of_array(reference)},
         "flow_start": settings.start,
         "mask_from": regions.origin_of_mask(settings.mask, settings.faceframe, masked),
-        "landmarks": None if settings.finder is None else _landmarks_document(settings, found, choice),
+        "landmarks": None if settings.detector is None else _landmarks_document(settings, found, choice),
         "components_asked": settings.components,
         "warp_weight_trials": [[t.weight, t.psnr_db] for t in trials],
     }
@@ -201,9 +203,9 @@ def build_steps(
         provenance=full_provenance,
     )
     warnings = _warnings(source, choice, model)
-    if settings.finder is not None and faceframe is None and model.rank > 0:
+    if settings.detector is not None and faceframe is None and model.rank > 0:
         try:
-            model = with_detected(model, (yield from detect_faceframe(model, settings.finder.find)))
+            model = with_detected(model, (yield from detect_faceframe(model, settings.detector)))
         except BadInput as error:
             warnings += (f"the model has no keypoints: {error}",)
     return Build(
@@ -218,7 +220,7 @@ def build_steps(
         trials=trials,
         warnings=warnings,
         frame_files=tuple(files),
-        faces_found=None if settings.finder is None else np.array([one is not None for one in found]),
+        faces_found=None if settings.detector is None else np.array([one is not None for one in found]),
     )
 
 
@@ -232,7 +234,7 @@ def _landmarks_document(
 ) -> dict[str, Any]:
     """Say for the provenance which detector looked, in how many frames it found a face, and if in the reference."""
     return {
-        "detector": dict(settings.finder.identity) if settings.finder else {},
+        "detector": dict(settings.detector.identity) if settings.detector else {},
         "anchored": settings.anchored and found[choice.index] is not None,
         "frames": len(found),
         "frames_with_face": sum(one is not None for one in found),

@@ -19,7 +19,7 @@ import numpy as np
 from morphspace.arrays import AnyArray, Image, Mask
 from morphspace.flow.baselines import LUMA, dis_medium, smoothed
 from morphspace.flow.starts import photometric_error
-from morphspace.steps import Step, Steps, in_order
+from morphspace.steps import Step, Steps, in_order, spread
 
 POOL = 120  # frames looked at, spread evenly over the clip
 TARGETS = 14  # of them, spread evenly: the frames to be reached
@@ -39,11 +39,6 @@ class ReferenceChoice:
     index: int
     name: str
     reason: str
-
-
-def spread(count: int, most: int) -> list[int]:
-    """Give at most `most` of `count` places, evenly spread, the first and the last among them."""
-    return [int(i) for i in np.unique(np.linspace(0, count - 1, min(count, most)).round())]
 
 
 def shrunk(image: Image, mask: Mask) -> tuple[Image, Mask]:

@@ -7,7 +7,6 @@ section 4; the figures are ours.
 
 from __future__ import annotations
 
-from morphspace.model.reference import spread
 from morphspace.report import avatar_tables, pictures, sections
 from morphspace.report.avatar_shown import (
     FULL_PART,
@@ -22,6 +21,7 @@ from morphspace.report.blocks import key_figures, notes_section, page_by_itself,
 from morphspace.report.figures import small
 from morphspace.report.markup import DASH, NOTHING, Html, element, figure, joined, section, sentence, text
 from morphspace.report.style import STYLE
+from morphspace.steps import spread
 
 __all__ = ["AvatarShown", "ExpressionRow", "avatar_page", "rows_shown"]
 

@@ -10,8 +10,8 @@ import numpy as np
 
 from morphspace.arrays import AnyArray, Image
 from morphspace.model.model import MorphModel
-from morphspace.model.reference import spread
 from morphspace.report.avatar_distances import MeanDistances
+from morphspace.steps import spread
 
 SHEET_ROWS = 24  # at most; the work folder has all
 LEAST_SHARE_OF_SHEET = 0.25  # of its rows are kept for expressions that leave most out

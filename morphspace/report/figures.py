@@ -17,8 +17,7 @@ from morphspace.grid import warp
 from morphspace.io.colour import linear_of_srgb
 from morphspace.linear.quality import psnr_db, rms_px
 from morphspace.model.passes import Build
-from morphspace.model.reference import spread
-from morphspace.steps import Step, Steps, in_order
+from morphspace.steps import Step, Steps, in_order, spread
 
 SHEET_FRAMES = 24  # on the contact sheet; enough to see the range of a clip at one glance
 SHEET_WIDTH_PX = 160  # of a small picture; a sheet of eight columns shows it at about this size

@@ -116,7 +116,7 @@ def frame_steps(
         if driver.is_pictures:
             _ = source.flow_from_reference, read.weighed
     anchor = source.anchor if detect is not None and driver.is_pictures else None
-    aligns = anchor is not None and anchor.finder.find is detect
+    aligns = anchor is not None and detect is not None and anchor.detector.is_same(detect)
 
     def one_frame(item: tuple[int, AnyArray]) -> tuple[int, FrameMade]:
         place, given = item

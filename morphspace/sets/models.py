@@ -17,10 +17,9 @@ from morphspace.model.keypoints import detect_faceframe, how_to_learn, with_dete
 from morphspace.model.landmarks import LEAST_FACES
 from morphspace.model.model import MorphModel, load_model
 from morphspace.model.passes import COMPONENTS, MIN_FRAMES, Build
-from morphspace.model.reference import spread
 from morphspace.outcome import check_folder, versions, work_folder_of
 from morphspace.report import Case, measure_frames, write_report
-from morphspace.steps import Step, Steps
+from morphspace.steps import Step, Steps, spread
 from morphspace.storage import digest_of_file
 from morphspace.transfer.driver import UsedModel
 

@@ -14,7 +14,6 @@ import numpy as np
 
 from morphspace.arrays import AnyArray, Image
 from morphspace.errors import BadInput
-from morphspace.face.detector import Detector
 from morphspace.face.mesh import FacePoints
 from morphspace.model.encode import framed_for, notes_on_framing
 from morphspace.model.model import MorphModel
@@ -99,9 +98,3 @@ def clip_driver(source: UsedModel, frames: str) -> Driver:
         files=framed.clip.paths,
         notes=notes_on_framing(framed.framing, model.identity, "driving frames"),
     )
-
-
-def own_detector_of(source: MorphModel, driver: Driver) -> Detector | None:
-    """Give the same one as the source aligns driving pictures with, so that each is looked at once; else None."""
-    anchor = source.anchor if driver.is_pictures else None
-    return None if anchor is None else anchor.finder.find

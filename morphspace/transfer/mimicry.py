@@ -33,7 +33,7 @@ from morphspace.model.keypoints import (
 from morphspace.model.landmarks import landmark_places
 from morphspace.model.model import MorphModel
 from morphspace.model.morph import Morph, MorphOffset, parts_of, vector_of
-from morphspace.model.reference import spread
+from morphspace.steps import spread
 from morphspace.transfer.colours import Texturing
 from morphspace.transfer.neutral import Recentring
 from morphspace.transfer.probable import Guide, InnerProducts, Solver, bounded

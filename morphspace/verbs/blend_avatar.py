@@ -16,12 +16,11 @@ from morphspace.avatar.build import checked
 from morphspace.avatar.originals import check_clips
 from morphspace.avatar.settings import AUTO, COMPONENTS, EXPRESSION, EXPRESSIONS, FLAT, MEAN
 from morphspace.errors import BadInput, UnreadableFile
-from morphspace.face.finder import FaceFinder
+from morphspace.face.detector import Detector, detector_for
 from morphspace.flow import methods
 from morphspace.io.framing import FramedClip
 from morphspace.model.encode import framed_for
 from morphspace.model.file import check_content
-from morphspace.model.finding import finder_for
 from morphspace.model.landmarks import LEAST_FACES
 from morphspace.model.model import MorphModel, load_model
 from morphspace.outcome import Outcome, check_file, check_folder, versions, work_folder_of
@@ -85,7 +84,7 @@ def run(request: BlendAvatarRequest) -> Steps[Outcome]:
     check_file(report, ".html", paths)
     with _held(paths) as held:
         models = [load_model(path) for path in held]
-        finder, missing = finder_for(request.landmarks)
+        detector, missing = detector_for(request.landmarks)
         settings = AvatarSettings(
             weights=request.weights,
             faceframe=request.faceframe,
@@ -98,7 +97,7 @@ def run(request: BlendAvatarRequest) -> Steps[Outcome]:
             correspondence=request.correspondence,
             flow=request.flow,
             components=request.components,
-            finder=finder,
+            detector=detector,
             clips=_clips(request, models),
             provenance={"identity": request.identity, "versions": versions()},
         )
@@ -114,7 +113,7 @@ def run(request: BlendAvatarRequest) -> Steps[Outcome]:
         notes = (
             *((NO_FINDER,) if missing else ()),
             *avatar.notes,
-            *_without_landmarks(avatar, request, finder),
+            *_without_landmarks(avatar, request, detector),
         )
         return _outcome(avatar, request, report, digests, notes)
 
@@ -167,14 +166,14 @@ def _clips(request: BlendAvatarRequest, models: Sequence[MorphModel]) -> list[Fr
 
 
 def _without_landmarks(
-    avatar: Avatar, request: BlendAvatarRequest, finder: FaceFinder | None
+    avatar: Avatar, request: BlendAvatarRequest, detector: Detector | None
 ) -> tuple[str, ...]:
     """Say that landmarks were not learned, and what would teach them: more pictures, or looking for the face at all."""
     if avatar.model.landmarks is not None:
         return ()
     lacks = f"{avatar.model.identity} does not know its landmarks, which `mimic --method guided` wants"
     count = len(avatar.expressions)
-    if finder is not None or count < LEAST_FACES:
+    if detector is not None or count < LEAST_FACES:
         return (
             f"{lacks}: they are learned from at least {LEAST_FACES} pictures with a face that is found, and {count} "
             "expressions were blended; ask for more --expressions",

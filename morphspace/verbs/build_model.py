@@ -7,11 +7,11 @@ from pathlib import Path
 
 import numpy as np
 
+from morphspace.face.detector import Landmarks
 from morphspace.face.faceframe import RegistrationKind
 from morphspace.flow import methods
 from morphspace.flow.starts import StartKind
 from morphspace.io.clips import open_clip
-from morphspace.model.finding import Landmarks
 from morphspace.model.from_clip import ClipSettings, Crop
 from morphspace.model.passes import COMPONENTS, Build
 from morphspace.outcome import Outcome, check_file, check_folder, work_folder_of

@@ -12,6 +12,7 @@ import numpy as np
 
 from morphspace.arrays import Image, Points
 from morphspace.errors import BadInput
+from morphspace.face.detector import Detector, load_detector
 from morphspace.face.faceframe import FaceFrame
 from morphspace.face.mesh import LEFT_LIDS, RIGHT_LIDS, UPPER_LIP_BOTTOM
 from morphspace.io.images import write_image
@@ -20,7 +21,6 @@ from morphspace.model.file import check_content
 from morphspace.model.keypoints import (
     TURN_UPRIGHT,
     WIDE_SPREAD,
-    FaceDetector,
     checked_faceframe,
     detect_faceframe,
     framing_of,
@@ -70,7 +70,7 @@ class Found:
     landmarks: LandmarkRegression | None = None
 
 
-def run(request: KeypointsRequest, detector: FaceDetector | None = None) -> Steps[Outcome]:
+def run(request: KeypointsRequest, detector: Detector | None = None) -> Steps[Outcome]:
     """Set the keypoints, write the model and a picture of them; or show them. Returns an `Outcome`.
 
     `detector` None takes the package's own, with --auto.
@@ -83,7 +83,7 @@ def run(request: KeypointsRequest, detector: FaceDetector | None = None) -> Step
     output = request.output or request.model
     check_file(output, ".morph")
     if request.automatic:
-        found = yield from _detected(model, detector or _own_detector())
+        found = yield from _detected(model, detector or load_detector())
     elif request.file is not None:
         found = _read(model, request.file, request)
     else:
@@ -136,14 +136,7 @@ def _check(request: KeypointsRequest) -> None:
         raise BadInput("no keypoints were given: give --auto, --set or --from")
 
 
-def _own_detector() -> FaceDetector:
-    from morphspace.face.detector import load_detector
-
-    detector: FaceDetector = load_detector()
-    return detector
-
-
-def _detected(model: MorphModel, detector: FaceDetector) -> Steps[Found]:
+def _detected(model: MorphModel, detector: Detector) -> Steps[Found]:
     found = yield from detect_faceframe(model, detector)
     eyes_px = float(np.hypot(*np.diff(found.faceframe.points[:2], axis=0)[0]))
     worst = float(found.spread_px.max()) / eyes_px

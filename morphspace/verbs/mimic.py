@@ -39,7 +39,7 @@ from morphspace.sets.protect import (
 )
 from morphspace.steps import Steps
 from morphspace.storage import write_text
-from morphspace.transfer.driver import Driver, UsedModel, clip_driver, own_detector_of, training_driver
+from morphspace.transfer.driver import Driver, UsedModel, clip_driver, training_driver
 from morphspace.transfer.mimicry import METHODS, WITH_REST, Method, auto_gain, mimic, offset_of
 from morphspace.transfer.neutral import AUTOMATIC, neutral_names, rest_of
 from morphspace.transfer.quality import reach_of
@@ -92,7 +92,7 @@ def run(request: MimicRequest, detector: Detector | None = None) -> Steps[Outcom
     detect = detector or own_detector()
     opened = _opened(request, detect)
     with told_what_stays(request.output), no_empty_folders(request.output):
-        return (yield from _steps(request, opened, detect, detector))
+        return (yield from _steps(request, opened, detect))
 
 
 def check(request: MimicRequest) -> None:
@@ -114,7 +114,6 @@ def _steps(
     request: MimicRequest,
     opened: Sequence[UsedModel | Clip],
     detect: Detector | None,
-    asked: Detector | None,
 ) -> Steps[Outcome]:
     folder = request.output
     check_folder(folder)
@@ -148,8 +147,7 @@ def _steps(
             offset_of(shown_target, rest.origin.target),
         )
     reach = reach_of(source.model, shown_target, gain, resting)
-    looking = detect if asked is not None else own_detector_of(source.model, driver) or detect
-    looks = mimic_advice.looks_for_faces(driver, source.model, target.model, looking)
+    looks = mimic_advice.looks_for_faces(driver, source.model, target.model, detect)
     settings = {
         "method": method,
         "gain": gain,

@@ -8,7 +8,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from morphspace.face import anchor
 from morphspace.face.anchor import HELD, FaceAnchor, anchor_of_build, anchor_on, rigid_movement, spline_from
-from morphspace.face.finder import FaceFinder
+from morphspace.face.detector import Detector
 from morphspace.face.mesh import INNER_LIPS, POINT_COUNT, FacePoints
 from morphspace.flow import Flow
 from morphspace.flow.starts import landmark_spline
@@ -26,7 +26,7 @@ def held_to(found, reference=None):
     """An anchor on a reference with `points()`; in every other picture it finds `found` (n, 2), or no face."""
     face = FacePoints(points(), 0.9)
     find = (lambda image: None) if found is None else (lambda image: FacePoints(found, 0.9))
-    return FaceAnchor(FaceFinder(find, {"version": 1}), face)
+    return FaceAnchor(Detector(find, {"version": 1}), face)
 
 
 def still(frame, start=None):
@@ -134,15 +134,15 @@ def test_a_frame_without_a_face_or_with_a_start_of_its_own_goes_to_the_flow_as_i
 
 
 def test_a_reference_without_a_face_anchors_nothing(picture):
-    assert anchor_on(picture(HEIGHT, WIDTH), FaceFinder(lambda image: None)) is None
+    assert anchor_on(picture(HEIGHT, WIDTH), Detector(lambda image: None, {"version": 1})) is None
 
 
 ANCHORED = {"landmarks": {"reference_has_face": True, "anchored": True}}
 
 
 def test_a_model_reads_new_frames_as_its_build_did_where_the_networks_are(model, monkeypatch):
-    finder = FaceFinder(lambda image: FacePoints(points(), 0.9))
-    monkeypatch.setattr(anchor, "own_finder", lambda: finder)
+    detector = Detector(lambda image: FacePoints(points(), 0.9), {"version": 1})
+    monkeypatch.setattr(anchor, "load_detector", lambda: detector)
     monkeypatch.setattr(anchor, "models_present", lambda: True)
     assert anchor_of_build(model.reference, {}) is None
     assert anchor_of_build(model.reference, {"landmarks": None}) is None
@@ -151,11 +151,13 @@ def test_a_model_reads_new_frames_as_its_build_did_where_the_networks_are(model,
     frame = held.align(np.array(model.reference), "some")
     assert_allclose(frame.registration, np.eye(2, 3), atol=1e-4)  # px: a grey level that rounds otherwise
     asked: list[object] = []
-    held.__dict__["anchor"] = replace(held.anchor, finder=FaceFinder(lambda image: asked.append(image)))
-    known = held.align(np.array(model.reference), "some", finder.find(model.reference))
+    held.__dict__["anchor"] = replace(
+        held.anchor, detector=Detector(lambda image: asked.append(image), {"version": 1})
+    )
+    known = held.align(np.array(model.reference), "some", detector.find(model.reference))
     assert_array_equal(known.image, frame.image)  # bytes: what was found before is not looked for again
     assert not asked
-    moved = FaceFinder(lambda image: FacePoints(points() + 2.0, 0.9))
+    moved = Detector(lambda image: FacePoints(points() + 2.0, 0.9), {"version": 1})
     plain = model.flow_from_reference(model.reference, None)
     held.__dict__["anchor"] = FaceAnchor(moved, FacePoints(points(), 0.9))
     started = held.flow_from_reference(np.array(model.reference), None)

@@ -6,12 +6,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from morphspace.errors import BadInput
-from morphspace.face.crop import ABOVE, BELOW, BESIDE, head_crop
-from morphspace.face.finder import FaceFinder
+from morphspace.face.crop import ABOVE, BELOW, BESIDE, CROP_FRAMES, crop_steps, head_crop
+from morphspace.face.detector import Detector, detector_for
 from morphspace.face.mesh import LEFT_LIDS, PHILTRUM, POINT_COUNT, RIGHT_LIDS, FacePoints
 from morphspace.io.clips import open_clip
 from morphspace.io.images import write_image
-from morphspace.model.finding import CROP_FRAMES, crop_steps, finder_for
 from morphspace.steps import result_of
 
 PICTURE = (640, 480)
@@ -70,7 +69,7 @@ def test_the_crop_is_found_in_a_spread_of_frames_and_says_in_how_many(tmp_path):
         asked.append(number)
         return None if number == 0 else face_at(32, 20, 10)
 
-    crop = result_of(crop_steps(clip_folder(tmp_path / "clip", 30), FaceFinder(find), 5 / 6))
+    crop = result_of(crop_steps(clip_folder(tmp_path / "clip", 30), Detector(find, {"version": 1}), 5 / 6))
     assert crop.frames == len(asked) == CROP_FRAMES and {0, 29} <= set(asked)
     assert crop.found == CROP_FRAMES - 1 and crop.eyes_px == pytest.approx(10)
     assert crop.box == head_crop([face_at(32, 20, 10)], (64, 48), 5 / 6)
@@ -79,15 +78,15 @@ def test_the_crop_is_found_in_a_spread_of_frames_and_says_in_how_many(tmp_path):
 def test_a_clip_without_faces_is_not_cropped_at_random(tmp_path):
     clip = clip_folder(tmp_path / "clip", 5)
     with pytest.raises(BadInput, match=r"found in 0 of 5 frames of clip.*--crop x,y,w,h"):
-        result_of(crop_steps(clip, FaceFinder(lambda image: None), 5 / 6))
+        result_of(crop_steps(clip, Detector(lambda image: None, {"version": 1}), 5 / 6))
 
 
 def test_without_the_detectors_files_a_build_says_in_one_line_how_to_get_better(monkeypatch, tmp_path):
     monkeypatch.setenv("MORPHSPACE_MODELS", str(tmp_path / "empty"))
-    finder, notes = finder_for("auto")
-    assert finder is None
+    detector, notes = detector_for("auto")
+    assert detector is None
     (note,) = notes
     assert "morphspace models fetch" in note and "\n" not in note
-    assert finder_for("none") == (None, ())
+    assert detector_for("none") == (None, ())
     with pytest.raises(BadInput, match=r"landmarks called 'yes'.*auto, anchor, none"):
-        finder_for("yes")
+        detector_for("yes")

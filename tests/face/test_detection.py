@@ -12,15 +12,15 @@ from numpy.testing import assert_allclose, assert_array_equal
 from skimage import data as pictures
 
 from morphspace.errors import BadInput
-from morphspace.face.detector import MissingModels, load_detector, models_present
+from morphspace.face.detector import Detector, MissingModels, load_detector, models_present
 from morphspace.face.detector.boxes import FaceBox, anchors, decode, main_face, overlap, suppress
 from morphspace.face.detector.crops import Crop, along, whole_image
-from morphspace.face.detector.eyes import EYES, LID_ORDER
-from morphspace.face.detector.mirror import OPPOSITE
+from morphspace.face.detector.detect import EYES, LID_ORDER
 from morphspace.face.mesh import (
     LEFT_BROW,
     LEFT_IRIS,
     LEFT_LIDS,
+    OPPOSITE,
     OUTER_LIPS,
     RIGHT_BROW,
     RIGHT_IRIS,
@@ -37,6 +37,16 @@ def ramp(width, height):
     """A picture whose red is x and whose green is y, in px / 1000, so that a crop tells where it was cut."""
     y, x = np.mgrid[:height, :width].astype(np.float32)
     return np.stack([x, y, 0 * x], axis=-1) / 1000
+
+
+# Detectors
+
+
+def test_a_detector_is_known_by_its_identity_and_needs_one():
+    one, other = (Detector(lambda image: None, {"version": version}) for version in (1, 2))
+    assert one.is_same(Detector(len, {"version": 1})) and not one.is_same(other)
+    with pytest.raises(BadInput, match="identity of a face detector is empty"):
+        Detector(len, {})
 
 
 # Boxes

@@ -6,8 +6,8 @@ import numpy as np
 from numpy.testing import assert_allclose, assert_array_equal
 
 from morphspace.face import regions
+from morphspace.face.detector import Detector
 from morphspace.face.faceframe import face_mask
-from morphspace.face.finder import FaceFinder
 from morphspace.face.mesh import FACE_OUTLINE, LEFT_LIDS, PHILTRUM, POINT_COUNT, RIGHT_LIDS, FacePoints
 from morphspace.face.points_in_clip import points_steps
 from morphspace.face.registration import Registration
@@ -49,10 +49,10 @@ class Looking:
 
 def test_points_come_back_as_they_were_found_and_are_found_once(clip, tmp_path):
     look = Looking(miss=[clip.pictures[4]])
-    finder = FaceFinder(look, {"version": 1})
-    first = result_of(points_steps(clip, finder, tmp_path))
+    detector = Detector(look, {"version": 1})
+    first = result_of(points_steps(clip, detector, tmp_path))
     calls = look.calls
-    second = result_of(points_steps(clip, finder, tmp_path))
+    second = result_of(points_steps(clip, detector, tmp_path))
     assert look.calls == calls > 0
     for index, (one, other) in enumerate(zip(first, second, strict=True)):
         if index == 4:
@@ -65,20 +65,20 @@ def test_points_come_back_as_they_were_found_and_are_found_once(clip, tmp_path):
 
 
 def test_another_detector_looks_again_and_a_damaged_file_is_made_anew(clip, tmp_path):
-    result_of(points_steps(clip, FaceFinder(Looking(), {"version": 1}), tmp_path))
+    result_of(points_steps(clip, Detector(Looking(), {"version": 1}), tmp_path))
     files = sorted(tmp_path.glob("*.points"))
     other = Looking()
-    result_of(points_steps(clip, FaceFinder(other, {"version": 2}), tmp_path))
+    result_of(points_steps(clip, Detector(other, {"version": 2}), tmp_path))
     assert other.calls == len(files)
     files[0].write_bytes(files[0].read_bytes()[:-7])
     again = Looking()
-    result_of(points_steps(clip, FaceFinder(again, {"version": 1}), tmp_path))
+    result_of(points_steps(clip, Detector(again, {"version": 1}), tmp_path))
     assert again.calls == 1
 
 
-def built(clip, folder, settings=SETTINGS, **finder):
+def built(clip, folder, settings=SETTINGS, **detector):
     folder.mkdir(exist_ok=True)
-    wanted = replace(settings, finder=FaceFinder(Looking(**finder), {"version": 1}))
+    wanted = replace(settings, detector=Detector(Looking(**detector), {"version": 1}))
     return result_of(build_steps(clip, wanted, folder, PROVENANCE))
 
 

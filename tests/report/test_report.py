@@ -28,12 +28,12 @@ from morphspace.report import (
     write_report,
 )
 from morphspace.report.advice import FRAMES_FEW, head_path
-from morphspace.report.figures import SHEET_FRAMES, spread
+from morphspace.report.figures import SHEET_FRAMES
 from morphspace.report.markup import element, text
 from morphspace.report.pictures import STRIP_WIDTH_PX, confidence_chart, fold_chart, shrunk_morph
 from morphspace.report.plots import Mark, Plot, line_plot, round_ticks
 from morphspace.report.sections import explained
-from morphspace.steps import result_of
+from morphspace.steps import result_of, spread
 from morphspace.storage import digest_of_array
 from morphspace.synthetic import Expression, Identity, drawn_actor
 

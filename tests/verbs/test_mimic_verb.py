@@ -14,8 +14,8 @@ from numpy.testing import assert_allclose
 from morphspace.cli.main import main
 from morphspace.errors import BadInput, UnreadableFile, UnwritableFile
 from morphspace.face import anchor
+from morphspace.face.detector import Detector
 from morphspace.face.faceframe import FaceFrame, face_mask
-from morphspace.face.finder import FaceFinder
 from morphspace.face.mesh import (
     LEFT_LIDS,
     LOWER_LIP_TOP,
@@ -319,13 +319,14 @@ def test_a_driving_frame_is_looked_at_once(work, actor, monkeypatch):
         looked.append(image)
         return points(yaw_deg=5)
 
-    monkeypatch.setattr(anchor, "own_finder", lambda: FaceFinder(find))
+    detector, other = (Detector(find, {"version": version}) for version in (1, 2))
+    monkeypatch.setattr(anchor, "load_detector", lambda: detector)
     monkeypatch.setattr(anchor, "models_present", lambda: True)
-    monkeypatch.setattr(verb, "own_detector", lambda: find)
+    monkeypatch.setattr(verb, "own_detector", lambda: Detector(find, {"version": 1}))
     run(work, source="held", frames=given)
     assert len(looked) == 1 + 2 + 4  # the reference, both means, each frame
     looked.clear()
-    run(work, source="held", frames=given, detector=lambda image: find(image), output=work / "twice")
+    run(work, source="held", frames=given, detector=other, output=work / "twice")
     assert len(looked) == 1 + 2 + 2 * 4
     for name in ("loadings.csv", "quality.csv", *(f"frames/clip_{index:03d}.png" for index in range(4))):
         assert (work / "out" / name).read_bytes() == (work / "twice" / name).read_bytes()
