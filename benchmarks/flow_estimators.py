@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-from bench_clips import replaced
+from clips import replaced
 from flow_truth import RealPair
 from skimage.registration import optical_flow_ilk, optical_flow_tvl1
 from threadpoolctl import threadpool_limits

@@ -1,4 +1,4 @@
-"""Pairs of pictures whose flow is known, or can be judged: what benchmarks/bench_flow.py measures and tuning looks at.
+"""Pairs of pictures whose flow is known, or can be judged: what benchmarks/flow.py measures and tuning looks at.
 
 Warped photographs (morphspace.synthetic.warped), Middlebury scenes, drawn actors and real pairs. What is tuned on and
 what is reported are kept apart by `part`: other London faces, other fields, other clips, other actors. Two things are
@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Literal
 
 import numpy as np
-from bench_clips import clip_frames
+from clips import clip_frames
 
 from morphspace.arrays import Image, Mask, Points
 from morphspace.errors import BadInput

@@ -1,7 +1,7 @@
 """Stock flow estimators from OpenCV and scikit-image, behind the one flow type, for comparison.
 
-The settings of `dis` were chosen on real clips (docs/benchmarks.md); the others are as they come. All work on grey
-images.
+The settings of `dis` were chosen on real clips (benchmarks/results/defaults.md); the others are as they come. All work
+on grey images.
 """
 
 from __future__ import annotations

@@ -27,8 +27,8 @@ the two forms are blended by how two-dimensional the texture is, and how coheren
 share of T.T that the best velocity leaves over (noise is two-dimensional too, but does not move with the pattern).
 
 That the 2005 form blends an inner and an outer form of M is published; the formulas of the outer form and of b are
-ours, chosen by measurement (docs/benchmarks.md), because the text of the paper was not at hand. So are the average
-over the neighbourhood, the confidence, and the sums of (X.T X.X) / (X.X^2 + X.Y^2) in place of two quotients.
+ours, chosen by measurement (benchmarks/results/video.md), because the text of the paper was not at hand. So are the
+average over the neighbourhood, the confidence, and the sums of (X.T X.X) / (X.X^2 + X.Y^2) in place of two quotients.
 """
 
 from __future__ import annotations

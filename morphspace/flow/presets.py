@@ -1,8 +1,8 @@
 """How much work the registration form spends, and on what: the presets `fast`, `balanced` and `accurate`.
 
 What each choice is worth was measured on photographs warped by known fields, on Middlebury scenes and on real
-expressions; the photographs and clips are not those of the reported figures (docs/benchmarks.md, "What each part of
-the flow is worth").
+expressions; the photographs and clips are not those of the reported figures
+(benchmarks/results/flow-ablation.md).
 """
 
 from __future__ import annotations

@@ -13,9 +13,9 @@ from morphspace.arrays import Displacement, Image
 from morphspace.flow import Flow, FlowFunction, FlowMethod
 from morphspace.flow.folds import unfolded
 
-SMOOTHING = 0.015  # sd, of the image's width; held-out faces, docs/benchmarks.md
+SMOOTHING = 0.015  # sd, of the image's width; held-out faces, benchmarks/results/defaults.md
 LEAST_WEIGHT = (
-    0.3  # of a point of no confidence; less of it left wide open mouths to their rims (docs/benchmarks.md)
+    0.3  # of a point of no confidence; with less, wide open mouths follow their rims (flow-ablation.md)
 )
 
 
