@@ -1,5 +1,6 @@
-"""From driving frames to pictures and their side-by-side video, a few frames at a time, and none of them twice.
+"""A folder of mimicry: pictures, side-by-side video, tables and page of one person driving another (Nagle section 3).
 
+Frames are drawn a few at a time, and none of them twice.
 What is finished is kept in the output folder until all is, under a name made of everything it depends on, so that a run
 that was stopped goes on where it was. The video shows the pictures as they were written, in a pass of its own.
 """
@@ -8,34 +9,55 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Generator, Iterator, Sequence
+from collections.abc import Generator, Iterator, Mapping, Sequence
 from contextlib import closing, contextmanager
 from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import Any, cast
+from typing import Any, Literal, cast
 
 import cv2
 import numpy as np
 
 from morphspace.arrays import AnyArray, Image
+from morphspace.errors import BadInput
 from morphspace.face.detector import Detector
 from morphspace.face.mesh import FacePoints
 from morphspace.io.images import read_image, write_image
+from morphspace.io.tables import write_loadings_table
 from morphspace.io.video import write_video
-from morphspace.model.encode import energy_outside
+from morphspace.model.encode import check_components, energy_outside, first_components
+from morphspace.model.keypoints import how_to_learn
 from morphspace.model.model import MorphModel
 from morphspace.model.morph import vector_of
-from morphspace.outcome import versions
-from morphspace.report.mimic_page import PAIRS_SHOWN
+from morphspace.outcome import check_folder, picture_names, versions, write_record
+from morphspace.report import mimic_advice
+from morphspace.report.mimic_page import PAIRS_SHOWN, MimicryShown, mimic_page
+from morphspace.report.set_page import CLIPPED_PERCENT
+from morphspace.sets.models import check_apart, check_landmarks
+from morphspace.sets.protect import MIMIC_FRAMES, VIDEO_NAME, WORK_FOLDER, remove_unfinished
 from morphspace.sets.sources import FRAME_RATE_HZ
 from morphspace.steps import Step, Steps, in_order
 from morphspace.storage import digest_of_file, digest_of_json, json_text, write_text
-from morphspace.transfer.driver import Driver
-from morphspace.transfer.mimicry import Mimic, Quality, offset_of
+from morphspace.transfer.driver import Driver, UsedModel
+from morphspace.transfer.mimicry import (
+    METHODS,
+    WITH_REST,
+    Method,
+    Mimic,
+    Quality,
+    auto_gain,
+    mimic,
+    offset_of,
+)
+from morphspace.transfer.neutral import AUTOMATIC, Rest, neutral_names, rest_of
 from morphspace.transfer.probable import InnerProducts
-from morphspace.transfer.quality import Reach, ReachOf
-from morphspace.transfer.quality_table import FaceSeen, FrameMade, made_of
+from morphspace.transfer.quality import Reach, ReachOf, reach_of
+from morphspace.transfer.quality_table import FaceSeen, FrameMade, made_of, quality_columns, write_quality
 
+BEST = "auto"  # the default: the method that measured best of those the models allow
+MAX_SD = 3.0
+MOST_GAIN = 1000.0  # a caricature is 2; with far more every frame shows the same bounded face
+LEAST_SD, MOST_SD = 0.001, 1000.0  # faces lie inside 3
 WORK_FORMAT = "morphspace-mimic-frame-3"
 KEY_DIGITS = 32
 FINISHED = re.compile(rf"[0-9a-f]{{{KEY_DIGITS}}}\.json")
@@ -203,3 +225,283 @@ def _of_height(image: Image, height: int) -> Image:
     width = max(1, round(image.shape[1] * height / image.shape[0]))
     method = cv2.INTER_AREA if height < image.shape[0] else cv2.INTER_CUBIC
     return np.asarray(cv2.resize(image, (width, height), interpolation=method), np.float32)
+
+
+@dataclass(frozen=True, eq=False)
+class MimicSettings:
+    """How one person drives another.
+
+    Parameters
+    ----------
+    method
+        One of `METHODS`, or "auto": `guided` where both models know their landmarks, else `transfer`.
+    gain
+        Factor of the loadings; "auto" so that the target moves as far as the source (`transfer.mimicry.auto_gain`);
+        None for "auto" with `guided` and `transfer`, and 1 with the others.
+    max_sd
+        Bound of each loading, in SD.
+    components
+        The target's first so many; None for all.
+    neutral
+        What counts as neutral (`transfer.neutral.rest_of`).
+
+    Raises
+    ------
+    BadInput
+        Where a setting cannot be used.
+    """
+
+    method: str = BEST
+    gain: float | Literal["auto"] | None = None
+    max_sd: float = MAX_SD
+    components: int | None = None
+    neutral: str = AUTOMATIC
+
+    def __post_init__(self) -> None:
+        if self.method not in (BEST, *METHODS):
+            raise BadInput(
+                f"there is no mimicry by {self.method!r}: choose {BEST}, or one of {', '.join(METHODS)}"
+            )
+        if isinstance(self.gain, float | int) and not abs(self.gain) <= MOST_GAIN:
+            raise BadInput(
+                f"--gain {self.gain:g} cannot be used: give a number from {-MOST_GAIN:g} to {MOST_GAIN:g}, 1 for the "
+                "motion as it is"
+            )
+        if not LEAST_SD <= self.max_sd <= MOST_SD:
+            raise BadInput(
+                f"--max-sd {self.max_sd:g} cannot be used: give a number from {LEAST_SD:g} to {MOST_SD:g}, such as "
+                f"{MAX_SD:g}"
+            )
+        check_components(self.components)
+        neutral_names(self.neutral)
+
+
+@dataclass(frozen=True, eq=False)
+class WrittenMimicry:
+    """What was written: `settings` of the record, `columns` of quality.csv, `notes` to act on, `files`."""
+
+    settings: Mapping[str, Any]
+    columns: Mapping[str, list[Any]]
+    notes: tuple[str, ...]
+    files: tuple[Path, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class _Drive:
+    """A pair of models that is ready: the `target` with the components that are used, the way to it, and its notes."""
+
+    target: MorphModel
+    method: Method
+    gain: float
+    gain_asked: float | Literal["auto"]
+    rest: Rest
+    make: Mimic
+    reach: ReachOf
+    notes: tuple[str, ...]
+
+
+def written_mimicry(
+    folder: Path,
+    source: UsedModel,
+    target: UsedModel,
+    driver: Driver,
+    asked: MimicSettings,
+    detector: Detector | None,
+    inputs: Sequence[Path] = (),
+) -> Steps[WrittenMimicry]:
+    """Drive the target with each frame and write pictures, video, tables, page and record into the folder.
+
+    Parameters
+    ----------
+    detector
+        Looks for a face in each driving frame; None where that is not possible.
+    inputs
+        Files that are read beside those of the driver; none of them may be replaced.
+
+    Raises
+    ------
+    BadInput
+        Where an input would be lost, or the models cannot be linked.
+    """
+    pictures = tuple(folder / MIMIC_FRAMES / name for name in picture_names(driver.names))
+    video, page = folder / VIDEO_NAME, folder / "index.html"
+    check_apart(folder, driver.files)
+    _check_inputs_stay((*pictures, video), [*driver.files, *inputs])
+    check_folder(folder / MIMIC_FRAMES)
+    remove_unfinished(folder)
+    drive = _drive(source, target, asked)
+    looks = mimic_advice.looks_for_faces(driver, source.model, target.model, detector)
+    settings = {
+        "method": drive.method,
+        "gain": drive.gain,
+        "gain_asked": drive.gain_asked,
+        "max_sd": asked.max_sd,
+        "components": drive.target.rank,
+        "neutral": drive.rest.settings,
+        "frames": "clip" if driver.is_pictures else "training",
+        "faces_looked_for": looks.detector is not None,
+    }
+    work = FinishedFrames(folder / WORK_FOLDER, [settings, source.digest, target.digest], driver, pictures)
+    made = yield from frame_steps(source.model, drive.make, drive.reach, work, looks.detector)
+    pairs = yield from video_steps(driver, pictures, video)
+    columns = quality_columns(driver.names, made)
+    loadings = np.array([one.loadings for one in made]).reshape(len(made), drive.target.rank)
+    loadings_sd = loadings / drive.target.sd
+    notes = (
+        *drive.notes,
+        *driver.notes,
+        *_size_note(source.model, target.model),
+        *looks.notes,
+        *mimic_advice.advice_of(source.model, target.model, made, loadings_sd, looks, drive.gain, drive.rest),
+        *_clipped_note(made, drive.target),
+        *_stale_note(folder / MIMIC_FRAMES, pictures),
+    )
+    told = {
+        **settings,
+        "source": _identified(source),
+        "target": _identified(target),
+        "driver": driver.name,
+        "frame_rate_hz": driver.rate_hz,
+        "notes": list(notes),
+    }
+    written = [*pictures, video, *write_quality(folder, columns, told)]
+    written += _write_loadings(folder / "loadings.csv", loadings_sd, target, source, driver)
+    shown = MimicryShown(
+        names=(source.model.identity, target.model.identity, driver.name),
+        pairs=pairs,
+        loadings_sd=loadings_sd,
+        max_sd=asked.max_sd,
+        rate_hz=driver.rate_hz,
+        columns=columns,
+        notes=notes,
+        video=video.name,
+        settings=_settings_shown(asked, told, source, target, driver),
+    )
+    write_text(page, mimic_page(shown))
+    written.append(page)
+    digests = {"source": source.digest, "target": target.digest, **driver.inputs}
+    written.append(write_record(folder, "mimic", settings, digests, written))
+    work.remove()
+    return WrittenMimicry(settings, columns, notes, tuple(written))
+
+
+def _drive(source: UsedModel, target: UsedModel, asked: MimicSettings) -> _Drive:
+    """Choose the method, what counts as neutral and the gain, and prepare both models."""
+    used, rank_notes = first_components(target.model, asked.components)
+    method, method_notes = _method(source, target, asked)
+    rest = rest_of(source.model, used, asked.neutral)
+    gain_asked = asked.gain
+    if gain_asked is None:
+        gain_asked = "auto" if method in WITH_REST else 1.0
+    gain = auto_gain(source.model, used, method, origin=rest.origin) if gain_asked == "auto" else gain_asked
+    make = mimic(source.model, used, method, gain=gain, max_sd=asked.max_sd, origin=rest.origin)
+    resting = None
+    if rest.origin is not None:
+        resting = offset_of(source.model, rest.origin.source), offset_of(used, rest.origin.target)
+    reach = reach_of(source.model, used, gain, resting)
+    return _Drive(used, method, gain, gain_asked, rest, make, reach, (*method_notes, *rank_notes))
+
+
+def _identified(used: UsedModel) -> dict[str, str]:
+    return {"identity": used.model.identity, "model_id": used.model.model_id, "sha256": used.digest}
+
+
+def _method(source: UsedModel, target: UsedModel, asked: MimicSettings) -> tuple[Method, tuple[str, ...]]:
+    """Give the method, and a note where a better one wants something."""
+    for method in METHODS:
+        if method == asked.method:
+            if method == "guided":
+                check_landmarks(source)
+                check_landmarks(target)
+            return method, ()
+    unlearned = {used.digest: used for used in (source, target) if used.model.landmarks is None}
+    if not unlearned:
+        return "guided", ()
+    ways = "; ".join(
+        f"{used.path.name} does not know its landmarks: {how_to_learn(used.model, used.path.name)}"
+        for used in unlearned.values()
+    )
+    return "transfer", (f"the method is transfer, not guided, which follows lids and lips better: {ways}",)
+
+
+def _check_inputs_stay(outputs: Sequence[Path], inputs: Sequence[Path]) -> None:
+    kept = {path.resolve() for path in inputs}
+    for path in outputs:
+        if path.resolve() in kept:
+            raise BadInput(
+                f"the output {path} is one of the inputs and would be lost: choose another output folder"
+            )
+
+
+def _write_loadings(
+    path: Path, loadings_sd: AnyArray, target: UsedModel, source: UsedModel, driver: Driver
+) -> tuple[Path, Path]:
+    """Write the loadings in SD of the target, with a sidecar as `encode` does, and whose motion it was."""
+    model = target.model
+    document = {
+        "model_id": model.model_id,
+        "model_sha256": target.digest,
+        "identity": model.identity,
+        "consent": model.provenance.get("consent"),
+        "licence": model.provenance.get("licence"),
+        "frame_rate_hz": driver.rate_hz,
+        "source_model_id": source.model.model_id,
+        "source_identity": source.model.identity,
+        "inputs": driver.inputs,
+        "versions": versions(),
+    }
+    write_loadings_table(path, loadings_sd, driver.names, document)
+    return path, path.with_suffix(".json")
+
+
+def _size_note(source: MorphModel, target: MorphModel) -> tuple[str, ...]:
+    if source.size == target.size:
+        return ()
+    return (
+        f"{source.identity} has frames of {source.size[0]}x{source.size[1]}, {target.identity} of {target.size[0]}x"
+        f"{target.size[1]}: what is carried over is resampled to the latter",
+    )
+
+
+def _clipped_note(made: Sequence[FrameMade], target: MorphModel) -> tuple[str, ...]:
+    clipped = sum(one.clipped for one in made)
+    if clipped <= CLIPPED_PERCENT / 100 * len(made) * target.mask.size * 3:
+        return ()
+    return (f"{clipped} colour values left the range of the files and were clipped",)
+
+
+def _stale_note(folder: Path, pictures: Sequence[Path]) -> tuple[str, ...]:
+    others = sorted({path.name for path in folder.glob("*.png")} - {path.name for path in pictures})
+    if not others:
+        return ()
+    return (
+        f"the folder {folder.name} holds {len(others)} other pictures, such as {others[0]}: an earlier run "
+        "left them there",
+    )
+
+
+def _settings_shown(
+    asked: MimicSettings, told: dict[str, Any], source: UsedModel, target: UsedModel, driver: Driver
+) -> dict[str, str]:
+    sizes = [f"{used.model.size[0]}x{used.model.size[1]}" for used in (source, target)]
+    rate = "not known" if driver.rate_hz is None else f"{driver.rate_hz:g} Hz"
+    what = "a clip" if driver.is_pictures else "the source's training frames, from their loadings"
+    return {
+        "method": told["method"] + (" (auto)" if asked.method == BEST else ""),
+        "gain": f"{told['gain']:g}" + (" (auto)" if told["gain_asked"] == "auto" else ""),
+        "bound of each loading": f"{asked.max_sd:g} SD",
+        "components": f"{told['components']} of {target.model.rank}",
+        "source": f"{source.model.identity}, model {source.model.model_id}, {sizes[0]}, {source.path.name}",
+        "target": f"{target.model.identity}, model {target.model.model_id}, {sizes[1]}, {target.path.name}",
+        "driven by": f"{driver.name}: {what}, {len(driver.names)} frames",
+        "frame rate": rate,
+        "what counts as rest": _rest_shown(told["neutral"]),
+        "faces looked for": "yes" if told["faces_looked_for"] else "no",
+    }
+
+
+def _rest_shown(neutral: dict[str, Any]) -> str:
+    frames = [neutral[f"{role}_frame"] or "the mean" for role in ("source", "target")]
+    how = f"--neutral {neutral['asked']}"
+    apart = "" if neutral["apart"] is None else f", {neutral['apart']:.1%} of the eye distance apart"
+    return f"source {frames[0]}, target {frames[1]}{apart} ({how})"

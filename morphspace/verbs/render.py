@@ -10,6 +10,7 @@ from morphspace.arrays import Image, LoadingTable
 from morphspace.errors import BadInput
 from morphspace.model.model import MorphModel, load_model
 from morphspace.outcome import RECORD_NAME, Outcome, check_folder, picture_names, write_record
+from morphspace.report.set_page import CLIPPED_PERCENT
 from morphspace.sets.draw import make_stimulus
 from morphspace.sets.planned import PlannedSet, check_replaced, plan_of, write_set
 from morphspace.sets.sources import FRAME_RATE_HZ, faces_of
@@ -18,7 +19,6 @@ from morphspace.stimuli.caricature import caricatured
 from morphspace.stimuli.drawing import VIDEO_SUFFIXES, Drawing
 from morphspace.stimuli.table_checks import check_reach
 
-CLIPPED_SHARE = 0.001  # of the colour values; fewer are the overshoot of a sharp edge
 __all__ = ["FRAME_RATE_HZ", "RenderRequest", "plan", "rendered", "run"]
 
 
@@ -108,7 +108,7 @@ def _lone_video(planned: PlannedSet, output: Path) -> Steps[Outcome]:
         output.parent, "render", settings, dict(planned.inputs), written, f"{output.name}.{RECORD_NAME}"
     )
     notes = planned.notes
-    if row["clipped_percent"] > 100 * CLIPPED_SHARE:
+    if row["clipped_percent"] > CLIPPED_PERCENT:
         notes = (*notes, f"{row['clipped_percent']:.2g} % of the colour values were clipped: lower the gain")
     lines = (f"{output}: {row['frames']} frames at {drawing.frame_rate_hz:g} Hz",)
     document = {"output": str(output), "frames": row["frames"], "clipped_percent": row["clipped_percent"]}

@@ -897,20 +897,20 @@ def test_the_number_of_components_is_named_where_it_keeps_the_motion_back(work):
 
 
 def test_a_share_is_the_same_in_the_line_and_in_the_note(work, monkeypatch):
-    prepared = verb.mimic
+    prepared = mimicry.mimic
 
     def mimic_that_keeps_little(*models, **settings):
         make = prepared(*models, **settings)
 
         def made(*given):
-            mimicry = make(*given)
+            one = make(*given)
             # 15 %, but 16 of the figure in the table
-            quality = dataclasses.replace(mimicry.quality, warp_kept=0.15499999)
-            return dataclasses.replace(mimicry, quality=quality)
+            quality = dataclasses.replace(one.quality, warp_kept=0.15499999)
+            return dataclasses.replace(one, quality=quality)
 
         return made
 
-    monkeypatch.setattr(verb, "mimic", mimic_that_keeps_little)
+    monkeypatch.setattr(mimicry, "mimic", mimic_that_keeps_little)
     outcome = run(work, gain=1.0)
     (note,) = (n for n in outcome.warnings if "of the motion's energy" in n)
     assert "shows only 16%" in note and "of the motion 16% is kept" in outcome.lines[0]
