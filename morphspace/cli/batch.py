@@ -42,14 +42,12 @@ def add_batch(group: click.Group, verb: Callable[[Callable[..., Any]], Callable[
         Everything is checked before anything is drawn. A batch that was stopped goes on with the same command.
         """
         from morphspace.outcome import Outcome
-        from morphspace.verbs import batch as verb_module
+        from morphspace.sets import batch as stimulus_batch
 
-        unasked = verb_module.MOST_PLANNED if is_plan else verb_module.MOST_UNASKED
+        unasked = stimulus_batch.MOST_PLANNED if is_plan else stimulus_batch.MOST_UNASKED
         most = None if is_meant else unasked
-        planned = yield from verb_module.planned_batch(
-            verb_module.BatchRequest(recipe, output, workers, most)
-        )
-        estimate = verb_module.estimated(planned)
+        planned = yield from stimulus_batch.planned_batch(recipe, output, workers, most)
+        estimate = stimulus_batch.estimated(planned)
         lines = planned.lines(estimate)
         if is_plan:
             return Outcome(lines, {"output": str(output), **planned.document(estimate)})
@@ -57,7 +55,7 @@ def add_batch(group: click.Group, verb: Callable[[Callable[..., Any]], Callable[
         if not (asked.get("quiet") or asked.get("as_json")):
             for line in lines:
                 click.echo(line, err=True)
-        return (yield from verb_module.write_batch(planned))
+        return (yield from stimulus_batch.write_batch(planned))
 
     command: Callable[..., Any] = verb(batch)
     for option in reversed(OPTIONS):

@@ -17,9 +17,9 @@ from morphspace.io.recipe_text import read_yaml
 from morphspace.io.recipes import KEYS, read_recipe
 from morphspace.requests import recipe_verbs
 from morphspace.sets.manifest import FIRST_COLUMNS, LAST_COLUMNS, TOLD_COLUMNS
+from morphspace.sets.recipe_settings import WrongKind, converted, kinds_of, required_of, worded
 from morphspace.steps import result_of
 from morphspace.verbs import sample
-from morphspace.verbs.batch_settings import WrongKind, converted, kinds_of, required_of, worded
 from morphspace.verbs.sample import SampleRequest
 
 VERBS = recipe_verbs()
@@ -166,7 +166,7 @@ def test_the_examples_on_the_page_are_recipes(tmp_path):
     ],
 )
 def test_schema_and_reader_refuse_the_same_broken_recipes(old, new, tmp_path):
-    from morphspace.verbs.batch_planning import planned_recipe
+    from morphspace.sets.recipe_plan import planned_recipe
 
     text = example("recipe", "yaml")
     assert old in text

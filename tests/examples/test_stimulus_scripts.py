@@ -18,10 +18,9 @@ from morphspace.io.tables import read_metrics_table
 from morphspace.io.video import read_frames, video_info
 from morphspace.model.model import Loadings
 from morphspace.model.morph import Morph
+from morphspace.sets import batch
+from morphspace.sets.folders import Stopped, fill_folder
 from morphspace.steps import result_of
-from morphspace.verbs import batch
-from morphspace.verbs.batch import BatchRequest
-from morphspace.verbs.batch_folders import Stopped, fill_folder
 
 SCRIPTS = Path(__file__).parents[2] / "examples"
 TRUE_PRECISION = 4.0
@@ -129,7 +128,7 @@ def test_a_folder_whose_filling_was_stopped_is_filled_again(actors, tmp_path):
         "  - {verb: mimic, source: ann.morph, target: bob.morph, method: map, name: copied}\n"
     )
     (actors / "copy.yaml").write_text(text, encoding="utf-8")
-    planned = result_of(batch.plan(BatchRequest(actors / "copy.yaml", tmp_path / "out", workers=1)))
+    planned = result_of(batch.planned_batch(actors / "copy.yaml", tmp_path / "out", workers=1))
     (job,) = planned.planned.folders
     with pytest.raises(Stopped, match="copied"):
         fill_folder(job, tmp_path / "out", lambda: True)
@@ -148,7 +147,7 @@ def test_a_folder_whose_filling_was_stopped_is_filled_again(actors, tmp_path):
     clash = text + "  - {verb: sample, model: ann.morph, count: 1, name: copied/more}\n"
     (actors / "clash.yaml").write_text(clash, encoding="utf-8")
     with pytest.raises(BadInput, match=r"line 5.*inside a folder that mimic fills"):
-        result_of(batch.plan(BatchRequest(actors / "clash.yaml", tmp_path / "other")))
+        result_of(batch.planned_batch(actors / "clash.yaml", tmp_path / "other"))
 
 
 @pytest.mark.slow

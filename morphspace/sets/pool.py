@@ -20,16 +20,14 @@ from dataclasses import dataclass
 from functools import lru_cache
 from multiprocessing.connection import wait
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from morphspace.errors import BadInput, MorphspaceError
 from morphspace.model.model import MorphModel, load_model
 from morphspace.sets.draw import make_stimulus
+from morphspace.sets.folders import FolderJob, fill_folder
 from morphspace.steps import single_threads
 from morphspace.stimuli.drawing import Drawing
-
-if TYPE_CHECKING:
-    from morphspace.verbs.batch_folders import FolderJob
 
 QUEUED = 4  # pieces a process has waiting: none idles, and stopping is quick
 OPEN_MODELS = 64  # a process keeps; they are maps of files, and cost addresses rather than memory
@@ -71,8 +69,6 @@ class FolderPiece:
 
     def made(self) -> dict[str, Any]:
         """Fill it, or keep it where it is whole; give its row of the table of folders."""
-        from morphspace.verbs.batch_folders import fill_folder  # loads every verb, which stimuli do not need
-
         return fill_folder(self.job, self.folder, lambda: _stop is not None and _stop.is_set())
 
 

@@ -20,14 +20,14 @@ from morphspace.io.recipes import Job, Recipe
 from morphspace.model.model import MorphModel, load_model
 from morphspace.outcome import versions
 from morphspace.requests import Verb, verb_named
+from morphspace.sets.folders import FolderJob
 from morphspace.sets.manifest import FIRST_COLUMNS, LAST_COLUMNS, Column
 from morphspace.sets.planned import PlannedSet, check_kept_model, check_names, request_document
+from morphspace.sets.recipe_settings import request_of
 from morphspace.sets.sources import file_names
 from morphspace.steps import Step, Steps
 from morphspace.stimuli.drawing import Drawing, check_name
 from morphspace.storage import digest_of_file, digest_of_json
-from morphspace.verbs.batch_folders import FolderJob
-from morphspace.verbs.batch_settings import request_of
 
 FOLDERS_TABLE = "folders.csv"
 ID_DIGITS = 8  # of a model's id, where they tell models of one name apart

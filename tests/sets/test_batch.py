@@ -21,11 +21,12 @@ from morphspace.cli.main import main
 from morphspace.errors import BadInput, MorphspaceError
 from morphspace.io.tables import read_loadings_table, read_metrics_table, write_loadings_table
 from morphspace.model.model import Loadings
+from morphspace.sets import batch, pool
 from morphspace.sets.draw import make_stimulus
+from morphspace.sets.recipe_settings import WrongKind, converted
 from morphspace.steps import result_of
-from morphspace.verbs import batch, batch_pool
+from morphspace.verbs import batch as verb
 from morphspace.verbs.batch import BatchRequest
-from morphspace.verbs.batch_settings import WrongKind, converted
 from morphspace.verbs.caricature import CaricatureRequest
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -79,7 +80,7 @@ def recipe(lab, text, name="recipe.yaml"):
 
 
 def made(path, output, **settings):
-    return result_of(batch.run(BatchRequest(path, output, **settings)))
+    return result_of(verb.run(BatchRequest(path, output, **settings)))
 
 
 def refused(path, output, *mentioned, **settings):
@@ -180,7 +181,7 @@ def test_a_changed_recipe_draws_only_what_changed(lab, tmp_path, monkeypatch):
     made(recipe(lab, CROSSED), out, workers=1)
     drawn = []
     monkeypatch.setattr(
-        batch_pool, "make_stimulus", lambda *words: drawn.append(words[1].name) or make_stimulus(*words)
+        pool, "make_stimulus", lambda *words: drawn.append(words[1].name) or make_stimulus(*words)
     )
     before = {path: path.stat().st_mtime_ns for path in out.glob("*/*.png")}
     made(recipe(lab, CROSSED.replace("-1.5]", "-1.5, 2]")), out, workers=1)
@@ -310,7 +311,7 @@ def test_tables_of_others_are_never_replaced(lab, tmp_path):
 
 
 def test_two_batches_do_not_write_into_one_folder_at_once(lab, tmp_path):
-    steps = batch.run(BatchRequest(recipe(lab, CROSSED), tmp_path / "out", workers=1))
+    steps = verb.run(BatchRequest(recipe(lab, CROSSED), tmp_path / "out", workers=1))
     while next(steps).stage != "batch":
         pass
     with pytest.raises(BadInput, match="another batch"):
@@ -322,7 +323,7 @@ def test_two_batches_do_not_write_into_one_folder_at_once(lab, tmp_path):
 def test_a_model_that_is_built_anew_during_the_batch_is_noticed(lab, tmp_path, model):
     text = CROSSED.replace("sources: {ann: ann.morph", "sources: {ann: changing.morph")
     (lab / "changing.morph").write_bytes((lab / "ann.morph").read_bytes())
-    planned = result_of(batch.planned_batch(BatchRequest(recipe(lab, text), tmp_path / "out", workers=1)))
+    planned = result_of(batch.planned_batch(recipe(lab, text), tmp_path / "out", workers=1))
     model_like(model, "ann", model.mean.texture, "f" * 16).save(lab / "changing.morph")
     with pytest.raises(BadInput, match=r"changing\.morph was model"):
         result_of(batch.write_batch(planned))
@@ -422,7 +423,7 @@ def test_bad_words_are_one_line(words, lab, tmp_path):
 
 
 def test_what_fails_in_a_process_is_told_in_one_line_and_ends_the_batch(lab, tmp_path):
-    planned = result_of(batch.planned_batch(BatchRequest(recipe(lab, CROSSED), tmp_path / "out", workers=2)))
+    planned = result_of(batch.planned_batch(recipe(lab, CROSSED), tmp_path / "out", workers=2))
     (tmp_path / "out").mkdir()
     (tmp_path / "out" / "bob").write_bytes(b"a file where a folder belongs")
     with pytest.raises(BadInput, match="cannot write"):
@@ -517,10 +518,10 @@ def test_a_batch_of_a_thousand_that_is_killed_goes_on_to_identical_bytes(lab, tm
 
 @pytest.mark.slow
 def test_a_process_that_is_ended_from_outside_is_told_in_one_line(lab, tmp_path):
-    planned = result_of(batch.planned_batch(BatchRequest(recipe(lab, MANY), tmp_path / "out", workers=2)))
+    planned = result_of(batch.planned_batch(recipe(lab, MANY), tmp_path / "out", workers=2))
     steps = batch.write_batch(planned)
     next(steps)
-    children = [child for child in batch_pool.multiprocessing.active_children() if child.is_alive()]
+    children = [child for child in pool.multiprocessing.active_children() if child.is_alive()]
     os.kill(children[0].pid, signal.SIGKILL)
     with pytest.raises(MorphspaceError, match="ended from outside"):
         result_of(steps)

@@ -1,0 +1,331 @@
+"""A batch: the stimulus set of a recipe, planned whole, drawn in parallel, and resumed after an interruption."""
+
+from __future__ import annotations
+
+import contextlib
+import dataclasses
+import os
+import re
+import tempfile
+import time
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from morphspace.errors import BadInput
+from morphspace.io.recipes import read_recipe
+from morphspace.io.tables import write_metrics_table
+from morphspace.outcome import Outcome, check_folder, write_record
+from morphspace.requests import recipe_verbs
+from morphspace.sets.complete import loadings_tables
+from morphspace.sets.draw import make_stimulus
+from morphspace.sets.planned import PlannedSet, check_set, complete_set, keep_model
+from morphspace.sets.pool import DrawingPiece, FolderPiece, Piece, made_here, made_in_processes
+from morphspace.sets.recipe_plan import FOLDERS_TABLE, Planned, planned_recipe
+from morphspace.steps import WORKERS, Step, Steps
+from morphspace.stimuli.drawing import PICTURE_SUFFIXES, VIDEO_SUFFIXES, Drawing
+
+MOST_UNASKED = 100_000  # stimuli made without --yes: a day's drawing, and tens of gigabytes
+MOST_PLANNED = 1_000_000  # shown by --plan without --yes: minutes, and gigabytes of memory
+FEW_FRAMES = 64  # drawn before other processes have started
+TRIED_FRAMES = 8  # of a video that is drawn to see how long a batch will take
+SHOWN_NOTES = 5  # on folders
+STIMULUS_SUFFIXES = (*PICTURE_SUFFIXES, *VIDEO_SUFFIXES)
+TRIED_KINDS = 6  # sorts of stimuli that are tried
+LEFT_OVER = re.compile(r"\.(?P<stem>.{1,40})\.[a-z0-9_]{8}\.(png|mp4|mkv|json|csv|html|frame|points)")
+
+
+@dataclass(frozen=True, eq=False)
+class Estimate:
+    """How long the drawing will take, s, and how large the set will be, bytes; without folders that verbs fill."""
+
+    seconds: float
+    size_bytes: float
+
+
+@dataclass(frozen=True, eq=False)
+class BatchPlan:
+    """A batch that is ready to be drawn into the folder `output`: only the disk can refuse it now.
+
+    `asked_workers` is the number of processes that was asked for; None for one a core.
+    """
+
+    recipe: Path
+    output: Path
+    planned: Planned
+    description: str
+    asked_workers: int | None = None
+
+    @property
+    def workers(self) -> int:
+        """In how many processes it is drawn."""
+        if self.asked_workers is not None:
+            return self.asked_workers
+        pieces = len(self.planned.drawings) + len(self.planned.folders)
+        few = self.frames < FEW_FRAMES and len(self.planned.folders) < 2
+        return 1 if few else min(_cores(), pieces)
+
+    @property
+    def frames(self) -> int:
+        """How many pictures are drawn, those of videos too."""
+        return sum(len(drawing.loadings_sd) for _, drawing in self.planned.drawings)
+
+    @property
+    def asks(self) -> bool:
+        """Whether it makes so many stimuli that the command line wants --yes."""
+        return len(self.planned.drawings) + len(self.planned.folders) > MOST_UNASKED
+
+    def lines(self, estimate: Estimate | None) -> tuple[str, ...]:
+        """Tell the plan: how many, how long, how large."""
+        drawings = [drawing for _, drawing in self.planned.drawings]
+        videos = sum(drawing.frame_rate_hz is not None for drawing in drawings)
+        models = len({planned.model.model_id for planned in self.planned.sets})
+        kinds = [_counted(len(drawings) - videos, "picture")] if len(drawings) > videos else []
+        if videos:
+            kinds.append(
+                f"{_counted(videos, 'video')} of {self.frames - len(drawings) + videos:,} frames in all"
+            )
+        if self.planned.folders:
+            kinds.append(_counted(len(self.planned.folders), "folder"))
+        lines = [f"{self.recipe}: {', '.join(kinds)}, from {_counted(models, 'model')}"]
+        begun = sum((self.output / f"{drawing.name}.json").exists() for drawing in drawings)
+        if begun:
+            lines.append(f"{begun:,} of them are in {self.output} already; what is whole is kept")
+        if estimate is not None and drawings:
+            also = ", and the folders" if self.planned.folders else ""
+            lines.append(
+                f"about {_duration(estimate.seconds)} in {_counted(self.workers, 'process', 'processes')}, "
+                f"{_size(estimate.size_bytes)}{also}"
+            )
+        if self.asks:
+            lines.append(f"these are more than {MOST_UNASKED:,}: they are made only with --yes")
+        return tuple(lines)
+
+    def document(self, estimate: Estimate) -> dict[str, Any]:
+        """Give the plan for a machine."""
+        return {
+            "stimuli": len(self.planned.drawings),
+            "frames": self.frames,
+            "folders": len(self.planned.folders),
+            "needs_yes": self.asks,
+            "workers": self.workers,
+            "seconds": round(estimate.seconds, 1),
+            "bytes": round(estimate.size_bytes),
+        }
+
+
+def planned_batch(
+    recipe: Path, output: Path, workers: int | None = None, most: int | None = MOST_UNASKED
+) -> Steps[BatchPlan]:
+    """Read and check a whole recipe; draw nothing. Return a `BatchPlan`.
+
+    Parameters
+    ----------
+    workers
+        Processes that will draw; None for one a core.
+    most
+        The largest number of stimuli; None for any.
+
+    Raises
+    ------
+    BadInput
+        With the recipe's line.
+    """
+    if workers is not None and workers < 1:
+        raise BadInput(f"{workers} processes cannot draw anything: give at least 1")
+    read = read_recipe(recipe, {name: verb.settings for name, verb in recipe_verbs().items()})
+    planned = yield from planned_recipe(read, output, most)
+    return BatchPlan(recipe, output, planned, read.description, workers)
+
+
+def estimated(batch: BatchPlan) -> Estimate:
+    """Draw a few stimuli aside, one of each sort, and work out how long and how large the whole will be."""
+    kinds: dict[tuple[str, str], list[tuple[PlannedSet, Drawing]]] = {}
+    for planned, drawing in batch.planned.drawings:
+        kinds.setdefault((planned.model.model_id, drawing.suffix), []).append((planned, drawing))
+    seconds = size = frames = 0.0
+    with tempfile.TemporaryDirectory(prefix="morphspace-") as folder:
+        for pairs in list(kinds.values())[:TRIED_KINDS]:
+            took, bytes_of_one = _tried(*pairs[0], Path(folder))
+            here = sum(len(drawing.loadings_sd) for _, drawing in pairs)
+            seconds, size, frames = seconds + took * here, size + bytes_of_one * here, frames + here
+    share = batch.frames / frames if frames else 0.0
+    return Estimate(share * seconds / min(batch.workers, _cores()), share * size)
+
+
+def write_batch(batch: BatchPlan) -> Steps[Outcome]:
+    """Draw everything, keep what is there and whole, and complete the set. Returns an `Outcome`."""
+    folder, planned = batch.output, batch.planned
+    check_folder(folder)
+    with _alone(folder):
+        read = [batch.recipe, *(path for one in planned.sets for path in one.files)]
+        tables = [name for one in planned.sets for name in one.tables]
+        tables += [*loadings_tables(planned.sets), *([FOLDERS_TABLE] if planned.folders else [])]
+        check_set(folder, [drawing for _, drawing in planned.drawings], read, tables)
+        for one in planned.sets:
+            keep_model(one)
+        _remove_left_overs(folder, planned)
+        pieces = len(planned.drawings) + len(planned.folders)
+        make = (
+            made_here(_pieces(batch))
+            if batch.workers == 1
+            else made_in_processes(_pieces(batch), batch.workers)
+        )
+        rows: list[dict[str, Any]] = []
+        with contextlib.closing(make):
+            for row in make:
+                rows.append(row)
+                yield Step("batch", len(rows), pieces)
+        drawn = len(planned.drawings)
+        return _completed(batch, rows[:drawn], rows[drawn:])
+
+
+def _pieces(batch: BatchPlan) -> Iterator[Piece]:
+    folder = batch.output
+    threads = max(1, min(WORKERS, _cores() // batch.workers))
+    for planned in batch.planned.sets:
+        head = planned.sidecar_head()
+        for drawing in planned.drawings:
+            yield DrawingPiece(planned.model_path, drawing, head, folder, threads)
+    for job in batch.planned.folders:
+        yield FolderPiece(job, folder)
+
+
+def _completed(batch: BatchPlan, rows: list[dict[str, Any]], folder_rows: list[dict[str, Any]]) -> Outcome:
+    """Write what the whole set gets: manifest, loadings, page, table of folders, record."""
+    folder, planned = batch.output, batch.planned
+    settings = {"recipe": batch.recipe.name, "description": batch.description}
+    tables: dict[str, Mapping[str, Any]] = {}
+    if folder_rows:
+        names = dict.fromkeys(key for row in folder_rows for key in row)
+        tables[FOLDERS_TABLE] = {name: [row.get(name) for row in folder_rows] for name in names}
+    notes = (*_folder_notes(folder_rows), *_stale_notes(folder, planned))
+    if not planned.sets:
+        write_metrics_table(folder / FOLDERS_TABLE, tables[FOLDERS_TABLE])
+        record = write_record(folder, "batch", settings, planned.inputs, [folder / FOLDERS_TABLE])
+        written = (folder / FOLDERS_TABLE, record)
+        told = {"output": str(folder), "stimuli": 0, "folders": len(folder_rows)}
+        return Outcome(_folder_lines(batch), told, notes, written)
+    first, *rest = planned.sets
+    sets = [dataclasses.replace(first, inputs=planned.inputs, tables={**first.tables, **tables})]
+    sets += [dataclasses.replace(one, inputs={}) for one in rest]
+    outcome = complete_set(folder, sets, rows, "batch", settings)
+    lines = (*outcome.lines, *(_folder_lines(batch) if folder_rows else ()))
+    told = {**outcome.document, "folders": len(folder_rows)}
+    return dataclasses.replace(outcome, lines=lines, document=told, warnings=(*outcome.warnings, *notes))
+
+
+def _folder_notes(rows: list[dict[str, Any]]) -> list[str]:
+    """Give what the verbs said of the folders they filled, the first few; the table has them all."""
+    notes = [f"{row['name']}: {row['notes']}" for row in rows if row["notes"]]
+    if len(notes) <= SHOWN_NOTES:
+        return notes
+    return [*notes[:SHOWN_NOTES], f"{len(notes) - SHOWN_NOTES} more folders have notes, in {FOLDERS_TABLE}"]
+
+
+def _stale_notes(folder: Path, planned: Planned) -> list[str]:
+    """Say how many stimuli lie in the folder that this recipe does not make."""
+    ours = {drawing.name for _, drawing in planned.drawings}
+    own = [folder / job.name for job in planned.folders]
+    others = [
+        name
+        for path in sorted(folder.rglob("*.json"))
+        if any(path.with_suffix(suffix).exists() for suffix in STIMULUS_SUFFIXES)
+        and (name := path.relative_to(folder).with_suffix("").as_posix()) not in ours
+        and not any(path.is_relative_to(place) for place in own)
+    ]
+    if not others:
+        return []
+    return [
+        f"{folder} holds {_counted(len(others), 'stimulus', 'stimuli')} of another recipe, such as {others[0]}"
+    ]
+
+
+def _folder_lines(batch: BatchPlan) -> tuple[str, ...]:
+    names = [job.name for job in batch.planned.folders]
+    shown = ", ".join(names[:3]) + (f" and {len(names) - 3} more" if len(names) > 3 else "")
+    return (f"{batch.output}: {_counted(len(names), 'folder')} ({shown}), listed in {FOLDERS_TABLE}",)
+
+
+def _tried(planned: PlannedSet, drawing: Drawing, folder: Path) -> tuple[float, float]:
+    """Draw the first frames of a stimulus aside, twice; give seconds and bytes a frame, of the second time."""
+    few = dataclasses.replace(
+        drawing,
+        loadings_sd=drawing.loadings_sd[:TRIED_FRAMES],
+        colour_sd=None if drawing.colour_sd is None else drawing.colour_sd[:TRIED_FRAMES],
+        outside_sd=None if drawing.outside_sd is None else drawing.outside_sd[:TRIED_FRAMES],
+        placing=None,
+    )
+    head = planned.sidecar_head()
+    for place in ("first", "second"):  # the first opens files and fills caches
+        start = time.perf_counter()
+        make_stimulus(planned.model, few, head, folder / place)
+        seconds = time.perf_counter() - start
+    made = [folder / "second" / few.file_name, folder / "second" / f"{few.name}.json"]
+    count = len(few.loadings_sd)
+    return seconds / count, sum(path.stat().st_size for path in made) / count
+
+
+@contextlib.contextmanager
+def _alone(folder: Path) -> Iterator[None]:
+    """Hold the folder for this batch, where the system can; the hold ends with the process, however it ends.
+
+    Raises `BadInput` where another batch is at work there.
+    """
+    try:
+        import fcntl
+    except ImportError:  # Windows
+        yield
+        return
+    handle = os.open(folder, os.O_RDONLY)
+    try:
+        try:
+            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError as error:
+            raise BadInput(
+                f"another batch is writing into {folder}: let it end, or choose another output folder"
+            ) from error
+        except OSError:  # a file system without locks
+            pass
+        yield
+    finally:
+        os.close(handle)
+
+
+def _remove_left_overs(folder: Path, planned: Planned) -> None:
+    """Remove unfinished files that a batch that was killed has left; only such as are named like ours."""
+    stems = {Path(drawing.name).name[:40] for _, drawing in planned.drawings}
+    stems |= {"manifest", "loadings", "record", "index", Path(FOLDERS_TABLE).stem}
+    own = [folder / job.name for job in planned.folders]
+    for path in folder.rglob(".*"):
+        found = LEFT_OVER.fullmatch(path.name)
+        if (
+            found
+            and path.is_file()
+            and (found["stem"] in stems or any(path.is_relative_to(place) for place in own))
+        ):
+            path.unlink(missing_ok=True)
+
+
+def _cores() -> int:
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
+
+
+def _counted(count: int, what: str, more: str | None = None) -> str:
+    return f"{count:,} {what if count == 1 else more or f'{what}s'}"
+
+
+def _duration(seconds: float) -> str:
+    if seconds < 90:
+        return f"{max(seconds, 1):.0f} s"
+    return f"{seconds / 60:.0f} min" if seconds < 5400 else f"{seconds / 3600:.1f} h"
+
+
+def _size(count: float) -> str:
+    for unit, large in (("GB", 1e9), ("MB", 1e6)):
+        if count >= large:
+            return f"{count / large:.2g} {unit}" if count < 10 * large else f"{count / large:,.0f} {unit}"
+    return f"{max(count / 1e3, 1):.0f} kB"
