@@ -16,7 +16,7 @@ from clips import SIZE, clip_frames, replaced, replaced_flow
 from memory import child
 from tables import at_most, print_table, tell
 
-from morphspace import steps, storage
+from morphspace import cache, steps
 from morphspace.face.registration import Registration
 from morphspace.flow import FlowMethod, methods
 from morphspace.model import passes, reference, work_frames
@@ -135,7 +135,7 @@ def _timed_build(data: Path, workers: int) -> Timed:
         tempfile.TemporaryDirectory() as folder,
         replaced_flow(methods.DEFAULT, watched_method(flow, methods.METHODS[methods.DEFAULT])),
         replaced(Registration, "of", registration.watched(Registration.of)),
-        replaced(work_frames, "write_container", writing.watched(storage.write_container)),
+        replaced(work_frames, "write_result", writing.watched(cache.write_result)),
         replaced(passes, "in_order", threads),
         replaced(work_frames, "in_order", threads),
         replaced(reference, "in_order", threads),

@@ -12,9 +12,11 @@ import hashlib
 import json
 import math
 import os
+import re
 import struct
 import tempfile
-from collections.abc import Iterator, Mapping
+import time
+from collections.abc import Collection, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -26,7 +28,12 @@ from morphspace.errors import UnreadableFile, UnwritableFile
 ALIGNMENT = 64  # bytes; the data start on a cache line, so that maps of float32 and float64 are aligned
 MAX_HEADER_BYTES = 100_000_000  # the safetensors limit; a larger number means random bytes
 KEPT_NAME = 40  # characters a temporary file keeps of a name, so that it stays within the system's limit
-KEY_DIGITS = 32  # hexadecimal digits of the digest that names a kept file
+UNFINISHED = re.compile(
+    r"\.(?P<stem>.{1,40})\.[a-z0-9_]{8}(?P<suffix>\.[a-z0-9]+)"
+)  # the names `whole_file` gives
+ABANDONED_AFTER_S = (
+    3600  # a file is written in seconds: one that has not changed for so long belongs to a killed run
+)
 READ_BLOCK = 1 << 20  # bytes read at a time while digesting
 CHECK = "check the name and the permissions"
 DTYPES = {
@@ -71,6 +78,46 @@ def whole_file(path: Path) -> Iterator[Path]:
         ) from error
     finally:
         temporary.unlink(missing_ok=True)
+
+
+def remove_unfinished(
+    folder: Path, *suffixes: str, stems: Collection[str] | None = None, abandoned: bool = False
+) -> None:
+    """Remove the temporary files that killed runs left in a folder.
+
+    Parameters
+    ----------
+    folder
+        The folder, without those inside it.
+    *suffixes
+        Suffixes of the files that were being written, such as ".png".
+    stems
+        Their names without suffix; None for any.
+    abandoned
+        Whether others may be writing here: only files that nobody has changed for an hour are then removed.
+    """
+    kept = None if stems is None else {stem[:KEPT_NAME] for stem in stems}
+    for path in folder.glob(".*"):
+        found = UNFINISHED.fullmatch(path.name)
+        if not found or found["suffix"] not in suffixes or path.is_dir():
+            continue
+        if kept is not None and found["stem"] not in kept:
+            continue
+        with contextlib.suppress(FileNotFoundError):  # its writer has finished
+            if not abandoned or time.time() - path.stat().st_mtime > ABANDONED_AFTER_S:
+                path.unlink()
+
+
+def make_folder(folder: Path) -> None:
+    """Make a folder for output and try to write into it. Raises `UnwritableFile`."""
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        with tempfile.NamedTemporaryFile(prefix=".morphspace-", dir=folder):  # of this process alone
+            pass
+    except OSError as error:
+        raise UnwritableFile(
+            f"cannot write into {folder}: {error.strerror}; choose another output folder"
+        ) from error
 
 
 def _umask() -> int:

@@ -21,15 +21,16 @@ from morphspace.avatar.notes import notes_on
 from morphspace.avatar.prepared import Studio, studio_of
 from morphspace.avatar.settings import MOST_SHARPEN, AvatarSettings, Expression
 from morphspace.avatar.sharpness import WELL_INSIDE, Curve, curve, mean_curve, sharpened, sharpness
+from morphspace.cache import is_finished, read_result, result_file, write_result
 from morphspace.errors import BadInput
 from morphspace.face.faceframe import RegistrationKind
 from morphspace.grid.warp import move_points
 from morphspace.model.keypoints import affine_between, lip_of, reference_to_mean, required_faceframe
 from morphspace.model.model import MorphModel
 from morphspace.model.passes import Build, BuildSettings, build_steps
-from morphspace.model.work_frames import FLOW_VERSION, is_whole
+from morphspace.model.work_frames import FLOW_VERSION
 from morphspace.steps import Step, Steps, in_order, spread
-from morphspace.storage import KEY_DIGITS, digest_of_json, read_container, write_container
+from morphspace.storage import digest_of_json
 
 BLEND_FORMAT = "morphspace-blend-1"
 BLEND_VERSION = 5  # raise it when blends come out otherwise: kept pictures are then made again
@@ -59,7 +60,7 @@ class BlendedFrames:
     def images(self, indices: list[int]) -> Iterator[Image]:
         """Give the pictures (h, w, 3) at these indices, in [0, 1]."""
         for index in indices:
-            plain = np.array(read_container(self.files[index])[0]["image"])
+            plain = np.array(read_result(self.files[index])[0]["image"])
             yield np.clip(sharpened(plain, self.masks[index], self.amount), 0, 1)
 
 
@@ -118,7 +119,7 @@ def blend_steps(models: Sequence[MorphModel], settings: AvatarSettings, work_fol
     studio, chosen = checked(models, settings)
     work_folder.mkdir(parents=True, exist_ok=True)
     files = yield from _blend_pass(studio, chosen, work_folder)
-    told = [read_container(file)[1] for file in files]
+    told = [read_result(file)[1] for file in files]
     expressions = _expressions(studio, chosen, told)
     measured = _sharpness(studio, chosen, told)
     curves = mean_curve([Curve(*one["curve"]) for one in told])
@@ -175,11 +176,8 @@ def _blend_pass(studio: Studio, chosen: Sequence[tuple[int, int]], work_folder: 
     """Blend each expression, or find it in the work folder; give each one's file."""
     common = [BLEND_FORMAT, BLEND_VERSION, FLOW_VERSION, cv2.__version__, studio.identity()]
     compared = set(spread(len(chosen), PIXEL_AVERAGES))
-    files = [
-        work_folder / f"{digest_of_json([*common, *one, index in compared])[:KEY_DIGITS]}.blend"
-        for index, one in enumerate(chosen)
-    ]
-    missing = [index for index, file in enumerate(files) if not is_whole(file)]
+    files = [result_file(work_folder, *common, *one, index in compared) for index, one in enumerate(chosen)]
+    missing = [index for index, file in enumerate(files) if not is_finished(file)]
     finished = len(files) - len(missing)
     if finished:
         yield Step("blend", finished, len(files))
@@ -193,7 +191,6 @@ def _blend_pass(studio: Studio, chosen: Sequence[tuple[int, int]], work_folder: 
             grows = curve(image, mixer.judged_picture)
             own = sharpness(mixer.picture(source, versions[source]), mixer.judged_picture)
             document: dict[str, Any] = {
-                "format": BLEND_FORMAT,
                 "used": mixer.used(versions).tolist(),
                 "plausibility": [version.plausibility for version in versions],
                 "curve": [grows.plain, grows.shared, grows.added],
@@ -204,7 +201,7 @@ def _blend_pass(studio: Studio, chosen: Sequence[tuple[int, int]], work_folder: 
                     [mixer.picture(i, version) for i, version in enumerate(versions)], mixer.weights
                 )
                 document["pixel_average_sharpness"] = sharpness(average, mixer.judged_picture)
-            write_container(files[index], {"image": image}, document)
+            write_result(files[index], {"image": image}, document)
 
         for _ in in_order(make, [index for index in missing if chosen[index][0] == source]):
             finished += 1

@@ -12,12 +12,11 @@ import cv2
 import numpy as np
 
 from morphspace.arrays import Image
-from morphspace.errors import UnreadableFile
+from morphspace.cache import is_finished, read_result, result_file, write_result
 from morphspace.face.detector import Detector
 from morphspace.face.mesh import FacePoints
 from morphspace.io.framing import FrameSource, same_size
 from morphspace.steps import Step, Steps, in_order
-from morphspace.storage import KEY_DIGITS, digest_of_json, read_container, write_container
 
 POINTS_FORMAT = "morphspace-frame-points-1"
 
@@ -27,10 +26,8 @@ def points_steps(
 ) -> Steps[tuple[FacePoints | None, ...]]:
     """Find the face in each frame, or take it from the work folder; None where there is none. A generator of steps."""
     common = [POINTS_FORMAT, cv2.__version__, dict(detector.identity)]
-    files = [
-        work_folder / f"{digest_of_json([*common, digest])[:KEY_DIGITS]}.points" for digest in source.digests
-    ]
-    missing = [index for index, file in enumerate(files) if not _is_whole(file)]
+    files = [result_file(work_folder, *common, digest) for digest in source.digests]
+    missing = [index for index, file in enumerate(files) if not is_finished(file)]
 
     def find(item: tuple[int, Image]) -> None:
         index, image = item
@@ -48,19 +45,12 @@ def _write(file: Path, found: FacePoints | None) -> None:
     if found is not None and found.depth is not None:
         arrays["depth"] = np.asarray(found.depth, np.float64)
     score = None if found is None else found.score
-    write_container(file, arrays, {"format": POINTS_FORMAT, "found": found is not None, "score": score})
+    write_result(file, arrays, {"found": found is not None, "score": score})
 
 
 def _read(file: Path) -> FacePoints | None:
-    arrays, document = read_container(file)
+    arrays, document = read_result(file)
     if not document["found"]:
         return None
     depth = np.array(arrays["depth"]) if "depth" in arrays else None
     return FacePoints(np.array(arrays["points"]), float(document["score"]), depth=depth)
-
-
-def _is_whole(file: Path) -> bool:
-    try:
-        return bool(read_container(file)[1].get("format") == POINTS_FORMAT)
-    except UnreadableFile:
-        return False

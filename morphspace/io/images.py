@@ -9,6 +9,7 @@ it stands.
 
 from __future__ import annotations
 
+import re
 import zlib
 from collections.abc import Sequence
 from pathlib import Path
@@ -47,6 +48,8 @@ TIFF_MODELS = (
 )  # the grey, RGB, palette and YCbCr photometric interpretations; the rest is ink or Lab
 PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"
 JPEG_QUALITY = 95  # 4:4:4; differences to the source stay near one 8-bit code
+FOLDER_MARKS = re.compile(r"[/\\]")
+LONGEST_NAME = 200  # bytes; file systems allow 255, and a temporary name is longer
 GREY_TOLERANCE = 1.5 / 255  # a grey mask saved as colour JPEG may differ by one code between channels
 
 
@@ -154,6 +157,22 @@ def write_image(path: str | Path, image: Image, *, bits: int = 8) -> int:
     else:
         _write_with_oiio(path, codes, codes.dtype.name)
     return clipped
+
+
+def picture_names(names: Sequence[str]) -> tuple[str, ...]:
+    """Return the file name of each frame's picture, NAME.png, with an underscore for every slash in the name.
+
+    Raises `BadInput` when two frames would share a file, or a name cannot be that of a file.
+    """
+    files = tuple(f"{FOLDER_MARKS.sub('_', name)}.png" for name in names)
+    for name, file in zip(names, files, strict=True):
+        if not name.strip(". ") or len(file.encode()) > LONGEST_NAME or "\0" in name:
+            raise BadInput(f"a frame is called {name!r:.60}, which cannot name a picture: rename it")
+        if files.count(file) > 1:
+            raise BadInput(
+                f"{files.count(file)} frames would be written as {file}: give each frame its own name"
+            )
+    return files
 
 
 def png_bytes(image: Image) -> bytes:

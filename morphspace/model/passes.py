@@ -16,6 +16,7 @@ from typing import Any
 
 import numpy as np
 
+from morphspace import cache
 from morphspace.arrays import Affine, AnyArray, Displacement, Image, Mask
 from morphspace.errors import BadInput
 from morphspace.face import regions
@@ -297,13 +298,14 @@ def _mean_field(files: list[Path]) -> tuple[AnyArray, Displacement]:
 
 @contextlib.contextmanager
 def _row_file(work_folder: Path, rows: int, width: int) -> Iterator[RowFile]:
-    handle, name = tempfile.mkstemp(
-        prefix="morphs-", suffix=".rows", dir=work_folder
-    )  # its own: folders are shared
+    """Provide a file of rows for a block. It has no name while it is open, so that a killed build leaves none."""
+    handle, name = tempfile.mkstemp(prefix=".morphs.", suffix=cache.SUFFIX, dir=work_folder)
     os.close(handle)
     path = Path(name)
     try:
         with RowFile(path, rows, width) as file:
+            with contextlib.suppress(PermissionError):  # Windows removes no open file
+                path.unlink()
             yield file
     finally:
         path.unlink(missing_ok=True)

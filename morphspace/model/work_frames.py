@@ -20,7 +20,7 @@ import cv2
 import numpy as np
 
 from morphspace.arrays import Affine, AnyArray, Image, Mask
-from morphspace.errors import UnreadableFile
+from morphspace.cache import is_finished, read_result, result_file, write_result
 from morphspace.face.anchor import FaceAnchor
 from morphspace.face.faceframe import Frame, RegistrationKind, aligned, identity_affine
 from morphspace.face.registration import Registration
@@ -29,7 +29,7 @@ from morphspace.flow.starts import StartKind
 from morphspace.grid import warp
 from morphspace.io.framing import FrameSource, same_size
 from morphspace.steps import Step, Steps, in_order
-from morphspace.storage import KEY_DIGITS, digest_of_array, digest_of_json, read_container, write_container
+from morphspace.storage import digest_of_array
 
 FRAME_FORMAT = "morphspace-work-frame-3"
 FLOW_VERSION = 7  # raise it when any flow method gives another field: kept frames are then made again
@@ -99,10 +99,10 @@ def _first_pass(
     if plan.anchor is not None:
         common.append(plan.anchor.identity)
     files = [
-        _file(work_folder, [*common, digest, *([] if movement is None else [digest_of_array(movement)])])
+        result_file(work_folder, *common, digest, *([] if movement is None else [digest_of_array(movement)]))
         for digest, movement in zip(source.digests, movements, strict=True)
     ]
-    missing = [index for index, file in enumerate(files) if not is_whole(file)]
+    missing = [index for index, file in enumerate(files) if not is_finished(file)]
     head = Registration(plan.reference, plan.registration, plan.region)
 
     def make(item: tuple[int, Image]) -> None:
@@ -135,8 +135,8 @@ def _second_pass(plan: FramePlan, find: FlowFunction, files: list[Path]) -> Step
     }
     limits = [FRAME_FORMAT, "second pass", starts.FOLD_LIMIT, starts.CLEARLY]
     folder = files[0].parent
-    again = {i: _file(folder, [*limits, files[i].stem, files[near].stem]) for i, near in pairs.items()}
-    missing = [index for index, file in again.items() if not is_whole(file)]
+    again = {i: result_file(folder, *limits, files[i].stem, files[near].stem) for i, near in pairs.items()}
+    missing = [index for index, file in again.items() if not is_finished(file)]
 
     def make(index: int) -> None:
         first = read_work_frame(files[index])
@@ -157,7 +157,7 @@ def _second_pass(plan: FramePlan, find: FlowFunction, files: list[Path]) -> Step
 
 def read_work_frame(file: Path, name: str = "") -> WorkFrame:
     """Read a frame from its file, and call it `name`. Raises `UnreadableFile`."""
-    arrays, document = read_container(file)
+    arrays, document = read_result(file)
     frame = Frame(np.array(arrays["image"]), name, np.array(arrays["registration"]))
     flow = Flow(np.array(arrays["flow"]), np.array(arrays["confidence"]))
     return WorkFrame(frame, flow, document["start"])
@@ -165,7 +165,7 @@ def read_work_frame(file: Path, name: str = "") -> WorkFrame:
 
 def read_aligned(file: Path) -> Image:
     """Read only the aligned picture (h, w, 3) of a frame. Raises `UnreadableFile`."""
-    return np.array(read_container(file)[0]["image"])
+    return np.array(read_result(file)[0]["image"])
 
 
 def _write(file: Path, plan: FramePlan, frame: Frame, flow: Flow, start: FrameStart) -> None:
@@ -177,28 +177,14 @@ def _write(file: Path, plan: FramePlan, frame: Frame, flow: Flow, start: FrameSt
         "confidence": flow.confidence,
     }
     document = {
-        "format": FRAME_FORMAT,
         "start": start,
         "photometric_error": starts.photometric_error(plan.reference, frame.image, field, plan.mask),
         "fold_fraction": warp.fold_fraction(field, plan.mask),
     }
-    write_container(file, arrays, document)
+    write_result(file, arrays, document)
 
 
 def _judgement(file: Path) -> tuple[float, float]:
     """Give the photometric error and the folds of a frame."""
-    document = read_container(file)[1]
+    document = read_result(file)[1]
     return document["photometric_error"], document["fold_fraction"]
-
-
-def _file(folder: Path, parts: list[Any]) -> Path:
-    return folder / f"{digest_of_json(parts)[:KEY_DIGITS]}.frame"
-
-
-def is_whole(file: Path) -> bool:
-    """Say whether a work file was written to its end."""
-    try:
-        read_container(file)
-    except UnreadableFile:
-        return False
-    return True

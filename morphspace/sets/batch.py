@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 import os
-import re
 import tempfile
 import time
 from collections.abc import Iterator, Mapping
@@ -13,10 +12,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from morphspace import cache
 from morphspace.errors import BadInput
 from morphspace.io.recipes import read_recipe
 from morphspace.io.tables import write_metrics_table
-from morphspace.outcome import Outcome, check_folder, write_record
+from morphspace.outcome import Outcome, write_record
 from morphspace.requests import recipe_verbs
 from morphspace.sets.complete import loadings_tables
 from morphspace.sets.draw import make_stimulus
@@ -25,6 +25,7 @@ from morphspace.sets.pool import DrawingPiece, FolderPiece, Piece, made_here, ma
 from morphspace.sets.recipe_plan import FOLDERS_TABLE, Planned, planned_recipe
 from morphspace.steps import WORKERS, Step, Steps
 from morphspace.stimuli.drawing import PICTURE_SUFFIXES, VIDEO_SUFFIXES, Drawing
+from morphspace.storage import make_folder, remove_unfinished
 
 MOST_UNASKED = 100_000  # stimuli made without --yes: a day's drawing, and tens of gigabytes
 MOST_PLANNED = 1_000_000  # shown by --plan without --yes: minutes, and gigabytes of memory
@@ -32,8 +33,8 @@ FEW_FRAMES = 64  # drawn before other processes have started
 TRIED_FRAMES = 8  # of a video that is drawn to see how long a batch will take
 SHOWN_NOTES = 5  # on folders
 STIMULUS_SUFFIXES = (*PICTURE_SUFFIXES, *VIDEO_SUFFIXES)
+LEFT_OVER = (*STIMULUS_SUFFIXES, ".json", ".csv", ".html", cache.SUFFIX)  # of unfinished files
 TRIED_KINDS = 6  # sorts of stimuli that are tried
-LEFT_OVER = re.compile(r"\.(?P<stem>.{1,40})\.[a-z0-9_]{8}\.(png|mp4|mkv|json|csv|html|frame|points)")
 
 
 @dataclass(frozen=True, eq=False)
@@ -157,7 +158,7 @@ def estimated(batch: BatchPlan) -> Estimate:
 def write_batch(batch: BatchPlan) -> Steps[Outcome]:
     """Draw everything, keep what is there and whole, and complete the set. Returns an `Outcome`."""
     folder, planned = batch.output, batch.planned
-    check_folder(folder)
+    make_folder(folder)
     with _alone(folder):
         read = [batch.recipe, *(path for one in planned.sets for path in one.files)]
         tables = [name for one in planned.sets for name in one.tables]
@@ -294,18 +295,13 @@ def _alone(folder: Path) -> Iterator[None]:
 
 
 def _remove_left_overs(folder: Path, planned: Planned) -> None:
-    """Remove unfinished files that a batch that was killed has left; only such as are named like ours."""
-    stems = {Path(drawing.name).name[:40] for _, drawing in planned.drawings}
+    """Remove the unfinished files that a killed batch has left; only such as are named like ours."""
+    stems = {Path(drawing.name).name for _, drawing in planned.drawings}
     stems |= {"manifest", "loadings", "record", "index", Path(FOLDERS_TABLE).stem}
     own = [folder / job.name for job in planned.folders]
-    for path in folder.rglob(".*"):
-        found = LEFT_OVER.fullmatch(path.name)
-        if (
-            found
-            and path.is_file()
-            and (found["stem"] in stems or any(path.is_relative_to(place) for place in own))
-        ):
-            path.unlink(missing_ok=True)
+    for place in (folder, *(path for path in folder.rglob("*") if path.is_dir())):
+        is_filled = any(place.is_relative_to(one) for one in own)
+        remove_unfinished(place, *LEFT_OVER, stems=None if is_filled else stems)
 
 
 def _cores() -> int:

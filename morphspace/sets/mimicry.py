@@ -7,8 +7,6 @@ that was stopped goes on where it was. The video shows the pictures as they were
 
 from __future__ import annotations
 
-import json
-import re
 from collections.abc import Generator, Iterator, Mapping, Sequence
 from contextlib import closing, contextmanager
 from dataclasses import dataclass, fields
@@ -18,18 +16,19 @@ from typing import Any, Literal, cast
 import cv2
 import numpy as np
 
+from morphspace import cache
 from morphspace.arrays import AnyArray, Image
 from morphspace.errors import BadInput
 from morphspace.face.detector import Detector
 from morphspace.face.mesh import FacePoints
-from morphspace.io.images import read_image, write_image
+from morphspace.io.images import picture_names, read_image, write_image
 from morphspace.io.tables import write_loadings_table
 from morphspace.io.video import write_video
 from morphspace.model.encode import check_components, energy_outside, first_components
 from morphspace.model.keypoints import how_to_learn
 from morphspace.model.model import MorphModel
 from morphspace.model.morph import vector_of
-from morphspace.outcome import check_folder, picture_names, versions, write_record
+from morphspace.outcome import versions, write_record
 from morphspace.report import mimic_advice
 from morphspace.report.mimic_page import PAIRS_SHOWN, MimicryShown, mimic_page
 from morphspace.report.set_page import CLIPPED_PERCENT
@@ -37,7 +36,7 @@ from morphspace.sets.models import check_apart, check_landmarks
 from morphspace.sets.protect import MIMIC_FRAMES, VIDEO_NAME, WORK_FOLDER, remove_unfinished
 from morphspace.sets.sources import FRAME_RATE_HZ
 from morphspace.steps import Step, Steps, in_order
-from morphspace.storage import digest_of_file, digest_of_json, json_text, write_text
+from morphspace.storage import digest_of_file, make_folder, write_text
 from morphspace.transfer.driver import Driver, UsedModel
 from morphspace.transfer.mimicry import (
     METHODS,
@@ -58,9 +57,7 @@ BEST = "auto"  # the default: the method that measured best of those the models 
 MAX_SD = 3.0
 MOST_GAIN = 1000.0  # a caricature is 2; with far more every frame shows the same bounded face
 LEAST_SD, MOST_SD = 0.001, 1000.0  # faces lie inside 3
-WORK_FORMAT = "morphspace-mimic-frame-3"
-KEY_DIGITS = 32
-FINISHED = re.compile(rf"[0-9a-f]{{{KEY_DIGITS}}}\.json")
+WORK_FORMAT = "morphspace-mimic-frame-4"
 MARK_NAME = "begun"  # says that the pictures are ours before there is one
 GAP_PX = 4  # between the panels of the video
 THUMBNAIL_WIDTH_PX = 132
@@ -77,22 +74,19 @@ class FinishedFrames:
 
     def file(self, place: int) -> Path:
         names = [entry.name for kind in (Quality, Reach) for entry in fields(kind)]
-        parts = [WORK_FORMAT, self.common, names, versions(), self.pictures[place].name]
-        return self.folder / f"{digest_of_json([*parts, self.driver.digests[place]])[:KEY_DIGITS]}.json"
+        own = [self.pictures[place].name, self.driver.digests[place]]
+        return cache.result_file(self.folder, WORK_FORMAT, self.common, names, versions(), *own)
 
     def read(self, place: int) -> FrameMade | None:
-        """Give a frame that was finished before, or None where its row or its picture is missing or another."""
+        """Return a frame that was finished before, or None where its row or its picture is missing or has changed."""
         file, picture = self.file(place), self.pictures[place]
-        if not (file.is_file() and picture.is_file()):
+        if not (picture.is_file() and cache.is_finished(file)):
             return None
-        try:
-            made = made_of(json.loads(file.read_text(encoding="utf-8")))
-        except (OSError, ValueError, KeyError, TypeError):
-            return None
+        made = made_of(cache.read_result(file)[1])
         return made if made.sha256 == digest_of_file(picture) else None
 
     def write(self, place: int, made: FrameMade) -> None:
-        write_text(self.file(place), json_text(made.document()))
+        cache.write_result(self.file(place), {}, made.document())
 
     @contextmanager
     def begun(self) -> Iterator[None]:
@@ -109,14 +103,9 @@ class FinishedFrames:
                 mark.unlink(missing_ok=True)
 
     def remove(self) -> None:
-        """Take away what is finished and recorded, of this request and of earlier ones that were stopped."""
-        if not self.folder.is_dir():
-            return
-        for path in sorted(self.folder.iterdir()):
-            if path.name == MARK_NAME or FINISHED.fullmatch(path.name):
-                path.unlink()
-        if not any(self.folder.iterdir()):
-            self.folder.rmdir()
+        """Remove what is finished and recorded, of this request and of earlier ones that were stopped."""
+        (self.folder / MARK_NAME).unlink(missing_ok=True)
+        cache.forget(self.folder)
 
 
 def frame_steps(
@@ -327,7 +316,7 @@ def written_mimicry(
     video, page = folder / VIDEO_NAME, folder / "index.html"
     check_apart(folder, driver.files)
     _check_inputs_stay((*pictures, video), [*driver.files, *inputs])
-    check_folder(folder / MIMIC_FRAMES)
+    make_folder(folder / MIMIC_FRAMES)
     remove_unfinished(folder)
     drive = _drive(source, target, asked)
     looks = mimic_advice.looks_for_faces(driver, source.model, target.model, detector)

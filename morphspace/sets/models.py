@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from morphspace.cache import work_folder
 from morphspace.errors import BadInput
 from morphspace.face.detector import Detector, how_to_get_networks
 from morphspace.flow import methods
@@ -17,10 +18,10 @@ from morphspace.model.keypoints import detect_faceframe, how_to_learn, with_dete
 from morphspace.model.landmarks import LEAST_FACES
 from morphspace.model.model import MorphModel, load_model
 from morphspace.model.passes import COMPONENTS, MIN_FRAMES, Build
-from morphspace.outcome import check_folder, versions, work_folder_of
+from morphspace.outcome import versions
 from morphspace.report import Case, measure_frames, write_report
 from morphspace.steps import Step, Steps, spread
-from morphspace.storage import digest_of_file
+from morphspace.storage import digest_of_file, make_folder
 from morphspace.transfer.driver import UsedModel
 
 MODEL_SUFFIX = ".morph"
@@ -147,8 +148,8 @@ def ready_model(
     if model is None:
         work = folder / f"{path.name}.work"
         settings = ClipSettings(components=asked)
-        check_folder(folder)
-        with work_folder_of(work, path):
+        make_folder(folder)
+        with work_folder(work, path):
             yield from written_model(given, settings, path, path.with_suffix(".html"), work)
         shutil.rmtree(work, ignore_errors=True)
         model = load_model(path)

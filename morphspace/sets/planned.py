@@ -15,7 +15,7 @@ from typing import Any
 from morphspace.errors import BadInput
 from morphspace.io.stimulus_sidecars import STIMULUS_FORMAT, STIMULUS_VERSION, UNITS
 from morphspace.model.model import MorphModel, load_model
-from morphspace.outcome import Outcome, check_folder, versions
+from morphspace.outcome import Outcome, versions
 from morphspace.requests import request_document, told_path
 from morphspace.sets.complete import complete_set
 from morphspace.sets.draw import make_stimulus
@@ -24,7 +24,7 @@ from morphspace.sets.manifest import Column, described_columns
 from morphspace.sets.protect import check_replaced, check_set, files_named
 from morphspace.steps import WORKERS, Step, Steps, in_order
 from morphspace.stimuli.drawing import Drawing
-from morphspace.storage import digest_of_json
+from morphspace.storage import digest_of_json, make_folder
 
 __all__ = [
     "PlannedSet",
@@ -164,7 +164,7 @@ def keep_model(planned: PlannedSet) -> None:
         return
     check_kept_model(planned.model, planned.model_path)
     if not planned.model_path.exists():
-        check_folder(planned.model_path.parent)
+        make_folder(planned.model_path.parent)
         planned.model.save(planned.model_path)
 
 

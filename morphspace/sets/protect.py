@@ -5,22 +5,25 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 import glob
-import re
+import os
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from morphspace import storage
+from morphspace.cache import SUFFIX
 from morphspace.errors import BadInput, MorphspaceError, UnreadableFile
 from morphspace.io.clips import FRAMES_FOLDER, SIDECAR_NAME
 from morphspace.io.sidecars import read_json_object
 from morphspace.io.stimulus_sidecars import STIMULUS_FORMAT, essentials_in
-from morphspace.outcome import RECORD_NAME, check_folder
+from morphspace.outcome import RECORD_NAME
 from morphspace.sets.manifest import MANIFEST_FORMAT
 from morphspace.stimuli.drawing import Drawing
-from morphspace.storage import digest_of_file
+from morphspace.storage import digest_of_file, make_folder
 
 RECORD_FORMAT = "morphspace-record"
 TABLE_SUFFIX = ".csv"
+LONGEST_NAME_BYTES = 200  # of the 255 a file system takes; a record and unfinished files have longer names
 FOLDER_FIELDS = ("clip", "first", "last")  # of requests: a folder named there is a clip's
 SIDECAR_START = '{\n  "consent": '  # keys are in order, and every sidecar of ours has this one
 OWN_FILES = (
@@ -47,7 +50,22 @@ MIMIC_FILES = (
     "index.html",
     RECORD_NAME,
 )
-UNFINISHED = re.compile(r"\..*\.[a-z0-9_]{8}\.(png|mp4|csv|json|html|morph)")  # names of `whole_file`
+
+
+def check_file(path: Path, suffix: str, kept: Iterable[Path] = ()) -> None:
+    """Raise `BadInput` where an output has another suffix, is a folder, or is one of the files to be `kept`."""
+    length = len(os.fsencode(path.name))
+    if length > LONGEST_NAME_BYTES:
+        raise BadInput(
+            f"the output {path.name[:20]}... has a name of {length} bytes: give at most {LONGEST_NAME_BYTES}, "
+            "so that the files beside it have room"
+        )
+    if path.suffix.lower() != suffix:
+        raise BadInput(f"the output {path} should end in {suffix}: call it {path.stem or 'output'}{suffix}")
+    if path.is_dir():
+        raise BadInput(f"the output {path} is a folder: give the name of a {suffix} file")
+    if path.exists() and path.resolve() in {other.resolve() for other in kept}:
+        raise BadInput(f"the output {path} is one of the inputs and would be lost: give it another name")
 
 
 def files_named(request: Any) -> tuple[Path, ...]:
@@ -114,7 +132,7 @@ def check_set(
     stimuli = [(folder / drawing.file_name, folder / f"{drawing.name}.json") for drawing in drawings]
     own = [folder / name for name in dict.fromkeys((*OWN_FILES, *tables))]
     check_inputs([*own, *(path for pair in stimuli for path in pair)], inputs)
-    check_folder(folder)
+    make_folder(folder)
     for picture, sidecar in stimuli:
         check_replaced(picture, sidecar)
     _check_own(folder, [path for path in own if path.exists()], [sidecar for _, sidecar in stimuli])
@@ -213,9 +231,7 @@ def check_ours(folder: Path, verb: str = "mimic", written: Sequence[str] = MIMIC
 def remove_unfinished(folder: Path) -> None:
     """Take away the files that a killed run was in the middle of writing; the folder must be ours."""
     for place in (folder, *(folder / name for name in (MIMIC_FRAMES, WORK_FOLDER, MODELS_FOLDER))):
-        for path in place.glob(".*"):
-            if UNFINISHED.fullmatch(path.name) and not path.is_dir():
-                path.unlink(missing_ok=True)
+        storage.remove_unfinished(place, ".png", ".mp4", ".csv", ".json", ".html", ".morph", SUFFIX)
 
 
 @contextlib.contextmanager

@@ -15,6 +15,7 @@ from morphspace.avatar import Avatar, AvatarSettings, blend_steps
 from morphspace.avatar.build import checked
 from morphspace.avatar.originals import check_clips
 from morphspace.avatar.settings import AUTO, COMPONENTS, EXPRESSION, EXPRESSIONS, FLAT, MEAN
+from morphspace.cache import work_folder
 from morphspace.errors import BadInput, UnreadableFile
 from morphspace.face.detector import Detector, detector_for
 from morphspace.flow import methods
@@ -23,11 +24,12 @@ from morphspace.model.encode import framed_for
 from morphspace.model.file import check_content
 from morphspace.model.landmarks import LEAST_FACES
 from morphspace.model.model import MorphModel, load_model
-from morphspace.outcome import Outcome, check_file, check_folder, versions, work_folder_of
+from morphspace.outcome import Outcome, versions
 from morphspace.report.avatar_distances import mean_face_distances
 from morphspace.report.avatar_page import AvatarShown, ExpressionRow, avatar_page, rows_shown
+from morphspace.sets.protect import check_file
 from morphspace.steps import Step, Steps
-from morphspace.storage import digest_of_file, write_text
+from morphspace.storage import digest_of_file, make_folder, write_text
 from morphspace.transfer.mimicry import MAX_SD
 
 IDENTITY = "avatar"
@@ -102,10 +104,10 @@ def run(request: BlendAvatarRequest) -> Steps[Outcome]:
             provenance={"identity": request.identity, "versions": versions()},
         )
         checked(models, settings)  # before any folder is made
-        check_folder(request.output.parent)
-        check_folder(report.parent)
+        make_folder(request.output.parent)
+        make_folder(report.parent)
         digests = [digest_of_file(path) for path in held]
-        with work_folder_of(request.work_folder, request.output) as folder:
+        with work_folder(request.work_folder, request.output) as folder:
             avatar = yield from blend_steps(models, settings, folder)
             shown = yield from _shown(avatar, models, request)
             avatar.model.save(request.output)

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
+from morphspace import cache
 from morphspace.face.detector import Landmarks
 from morphspace.face.faceframe import RegistrationKind
 from morphspace.flow import methods
@@ -14,10 +15,12 @@ from morphspace.flow.starts import StartKind
 from morphspace.io.clips import open_clip
 from morphspace.model.from_clip import ClipSettings, Crop
 from morphspace.model.passes import COMPONENTS, Build
-from morphspace.outcome import Outcome, check_file, check_folder, work_folder_of
+from morphspace.outcome import Outcome
 from morphspace.report import advice_for
 from morphspace.sets.models import written_model
+from morphspace.sets.protect import check_file
 from morphspace.steps import Steps
+from morphspace.storage import make_folder
 
 
 @dataclass(frozen=True)
@@ -59,9 +62,9 @@ def run(request: BuildModelRequest) -> Steps[Outcome]:
     report = request.report or output.with_suffix(".html")
     check_file(output, ".morph", clip.paths)
     check_file(report, ".html", clip.paths)
-    check_folder(output.parent)
-    check_folder(report.parent)
-    with work_folder_of(request.work_folder, output) as work_folder:
+    make_folder(output.parent)
+    make_folder(report.parent)
+    with cache.work_folder(request.work_folder, output) as work_folder:
         made = yield from written_model(clip, settings, output, report, work_folder)
     build, model = made.build, made.build.model
     psnr = np.array(made.case.figures.psnr_db)

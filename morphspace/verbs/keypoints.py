@@ -29,7 +29,8 @@ from morphspace.model.keypoints import (
 )
 from morphspace.model.landmarks import LANDMARKS, LEAST_FACES, LandmarkRegression
 from morphspace.model.model import MorphModel, load_model
-from morphspace.outcome import Outcome, check_file
+from morphspace.outcome import Outcome
+from morphspace.sets.protect import check_file
 from morphspace.steps import Steps
 from morphspace.storage import digest_of_file
 

@@ -7,8 +7,9 @@ from pathlib import Path
 
 from morphspace import synthetic
 from morphspace.errors import BadInput
-from morphspace.outcome import Outcome, check_folder, write_record
+from morphspace.outcome import Outcome, write_record
 from morphspace.steps import Step, Steps
+from morphspace.storage import make_folder
 
 LEAST_SIDE_PX, MOST_SIDE_PX = 48, 1024  # larger ones take minutes to paint
 
@@ -38,7 +39,7 @@ def run(request: MakeActorsRequest) -> Steps[Outcome]:
         raise BadInput(
             f"actors of {width}x{height} cannot be drawn: give {LEAST_SIDE_PX} to {MOST_SIDE_PX} px a side"
         )
-    check_folder(request.output)
+    make_folder(request.output)
     total = (request.identities + request.portraits) * request.frames
     written: list[Path] = []
     names: dict[str, None] = {}

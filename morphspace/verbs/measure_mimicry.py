@@ -35,12 +35,12 @@ from morphspace.io.tables import write_loadings_table
 from morphspace.io.video import write_video
 from morphspace.model.encode import check_components, components_used
 from morphspace.model.model import MorphModel, load_model
-from morphspace.outcome import RECORD_NAME, Outcome, check_file, check_folder, versions, write_record
+from morphspace.outcome import RECORD_NAME, Outcome, versions, write_record
 from morphspace.report.imitation_page import MeasuredImitation, imitation_page
-from morphspace.sets.protect import VIDEO_NAME, check_ours, no_empty_folders
+from morphspace.sets.protect import VIDEO_NAME, check_file, check_ours, no_empty_folders
 from morphspace.steps import Step, Steps
 from morphspace.stimuli.table_checks import check_reach
-from morphspace.storage import digest_of_file, write_text
+from morphspace.storage import digest_of_file, make_folder, write_text
 from morphspace.verbs.render import FRAME_RATE_HZ, rendered
 
 VERB = "measure-mimicry"
@@ -133,7 +133,7 @@ def _steps(
     what = model.identity if known == model.rank else "a table"
     k, rank_notes = components_used(request.components, known, what)
     notes += rank_notes
-    check_folder(folder)
+    make_folder(folder)
     faces: dict[str, FacesSeen] = {}
     for role, source in zip(ROLES, sources, strict=True):
         reader = source.imitator.model if source.imitator else model
@@ -160,7 +160,7 @@ def _steps(
     drawn_sd = b_sd + moved
     for values, source in ((a_sd, stimulus), (drawn_sd, imitation)):
         check_reach(values, source.frame_names, Path(source.name))
-    check_folder(folder / WORK_FOLDER)
+    make_folder(folder / WORK_FOLDER)
     video = folder / VIDEO_NAME
     panels, pairs = yield from _drawn(model, stimulus, imitation, a_sd, drawn_sd, rate_hz, video)
     if moved.any():

@@ -16,7 +16,7 @@ from morphspace.errors import BadInput
 from morphspace.face.detector import Detector, own_detector
 from morphspace.io.clips import Clip, open_clip
 from morphspace.model.model import MorphModel
-from morphspace.outcome import Outcome, check_folder
+from morphspace.outcome import Outcome
 from morphspace.requests import ClipText
 from morphspace.sets.mimicry import BEST, MAX_SD, MimicSettings, WrittenMimicry, written_mimicry
 from morphspace.sets.models import check_apart, check_faces, check_landmarks, opened_model, ready_model
@@ -27,6 +27,7 @@ from morphspace.sets.protect import (
     told_what_stays,
 )
 from morphspace.steps import Steps
+from morphspace.storage import make_folder
 from morphspace.transfer.driver import UsedModel, clip_driver, training_driver
 from morphspace.transfer.neutral import AUTOMATIC
 from morphspace.transfer.quality_table import (
@@ -69,7 +70,7 @@ def run(request: MimicRequest, detector: Detector | None = None) -> Steps[Outcom
     folder, detect = request.output, detector or own_detector()
     opened, settings = _opened(request, detect)
     with told_what_stays(folder), no_empty_folders(folder):
-        check_folder(folder)
+        make_folder(folder)
         models = []
         for given in opened:
             models.append((yield from ready_model(given, folder / MODELS_FOLDER, request.components, detect)))

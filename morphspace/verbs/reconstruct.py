@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from morphspace.grid import warp
-from morphspace.io.images import write_image
+from morphspace.io.images import picture_names, write_image
 from morphspace.io.tables import write_metrics_table
 from morphspace.linear.quality import psnr_db, rms_px, ssim
 from morphspace.model.encode import (
@@ -20,9 +20,9 @@ from morphspace.model.encode import (
     notes_on_enlarging,
 )
 from morphspace.model.model import load_model
-from morphspace.outcome import Outcome, check_folder, picture_names, write_record
+from morphspace.outcome import Outcome, write_record
 from morphspace.steps import Step, Steps
-from morphspace.storage import digest_of_file
+from morphspace.storage import digest_of_file, make_folder
 from morphspace.verbs.encode import write_loadings
 
 
@@ -44,7 +44,7 @@ def run(request: ReconstructRequest) -> Steps[Outcome]:
     source = framed_for(model, request.sources, request.crop)
     folders = {name: request.output / name for name in ("aligned", "reconstructed", "placed")}
     for folder in folders.values():
-        check_folder(folder)
+        make_folder(folder)
     table: dict[str, list[object]] = {
         name: [] for name in ("frame", "psnr_db", "ssim", "warp_error_px", "fold_fraction")
     }

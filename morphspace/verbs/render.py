@@ -8,8 +8,9 @@ from pathlib import Path
 
 from morphspace.arrays import Image, LoadingTable
 from morphspace.errors import BadInput
+from morphspace.io.images import picture_names
 from morphspace.model.model import MorphModel, load_model
-from morphspace.outcome import RECORD_NAME, Outcome, check_folder, picture_names, write_record
+from morphspace.outcome import RECORD_NAME, Outcome, write_record
 from morphspace.report.set_page import CLIPPED_PERCENT
 from morphspace.sets.draw import make_stimulus
 from morphspace.sets.planned import PlannedSet, check_replaced, plan_of, write_set
@@ -18,6 +19,7 @@ from morphspace.steps import WORKERS, Step, Steps, in_order
 from morphspace.stimuli.caricature import caricatured
 from morphspace.stimuli.drawing import VIDEO_SUFFIXES, Drawing
 from morphspace.stimuli.table_checks import check_reach
+from morphspace.storage import make_folder
 
 __all__ = ["FRAME_RATE_HZ", "RenderRequest", "plan", "rendered", "run"]
 
@@ -93,7 +95,7 @@ def plan(request: RenderRequest, model: MorphModel | None = None) -> Steps[Plann
 
 def _lone_video(planned: PlannedSet, output: Path) -> Steps[Outcome]:
     """Write the one video of a set under a name of its own, with its sidecar and record beside it."""
-    check_folder(output.parent)
+    make_folder(output.parent)
     (drawing,) = planned.drawings
     sidecar = output.with_name(f"{output.name}.json")
     check_replaced(output, sidecar)

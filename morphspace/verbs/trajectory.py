@@ -14,10 +14,11 @@ from morphspace.errors import BadInput, ReferenceMismatch
 from morphspace.io.sidecars import read_json_object
 from morphspace.io.tables import LOADINGS_FORMAT, read_loadings_table, write_loadings_table
 from morphspace.model.model import MorphModel, load_model
-from morphspace.outcome import Outcome, check_file, check_folder, versions
+from morphspace.outcome import Outcome, versions
 from morphspace.sets.kept import digest_of_kept
 from morphspace.sets.manifest import Column
 from morphspace.sets.planned import KEPT_STEMS, PlannedSet, plan_of, request_document, write_set
+from morphspace.sets.protect import check_file
 from morphspace.sets.sources import FRAME_RATE_HZ, file_names, motion_name
 from morphspace.steps import Step, Steps
 from morphspace.stimuli.drawing import VIDEO_SUFFIXES, Drawing
@@ -25,6 +26,7 @@ from morphspace.stimuli.motion_words import GUIDED
 from morphspace.stimuli.operations import Motion, Operation, operations_of, worked
 from morphspace.stimuli.table_checks import check_table
 from morphspace.stimuli.trajectory import step_lengths
+from morphspace.storage import make_folder
 
 LEAST_FRAMES = 2  # of a motion
 JUMP = 1.0 + 1e-6  # median steps: a loop that closes with more jumps
@@ -249,7 +251,7 @@ def _write_table(request: TrajectoryRequest) -> Steps[Outcome]:
             f"{len(made.motions)} motions do not fit one table {request.output}: put them together with splice or "
             "average, or give one table"
         )
-    check_folder(request.output.parent)
+    make_folder(request.output.parent)
     sidecar = request.output.with_suffix(".json")
     if sidecar.exists() and read_json_object(sidecar).get("format") != LOADINGS_FORMAT:
         raise BadInput(f"{sidecar} would be replaced, and is no table's sidecar: give the table another name")

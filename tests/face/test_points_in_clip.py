@@ -66,7 +66,7 @@ def test_points_come_back_as_they_were_found_and_are_found_once(clip, tmp_path):
 
 def test_another_detector_looks_again_and_a_damaged_file_is_made_anew(clip, tmp_path):
     result_of(points_steps(clip, Detector(Looking(), {"version": 1}), tmp_path))
-    files = sorted(tmp_path.glob("*.points"))
+    files = sorted(tmp_path.glob("*.kept"))
     other = Looking()
     result_of(points_steps(clip, Detector(other, {"version": 2}), tmp_path))
     assert other.calls == len(files)

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
+from morphspace.cache import read_result
 from morphspace.errors import BadInput
 from morphspace.face.faceframe import FaceFrame, face_mask, identity_affine, mouth_region, rigid_region
 from morphspace.flow import methods
@@ -17,7 +18,6 @@ from morphspace.model import passes as build_module
 from morphspace.model.passes import BuildSettings, build_steps
 from morphspace.model.reference import mouth_contrast
 from morphspace.steps import Step, in_order, result_of
-from morphspace.storage import read_container
 
 PLAIN = BuildSettings(
     components=6, registration="none", flow="dis", start="none", reference=0, warp_weight=0.05
@@ -320,7 +320,7 @@ def test_only_work_frames_stay_in_the_work_folder(clip, tmp_path):
     result = built(clip, tmp_path)
     assert set(tmp_path.iterdir()) == set(result.frame_files)
     for file in result.frame_files:
-        arrays, _ = read_container(file)
+        arrays, _ = read_result(file)
         assert set(arrays) == {"image", "registration", "flow", "confidence"}
 
 

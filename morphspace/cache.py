@@ -1,0 +1,126 @@
+"""Results that stopped work resumes from: files in a folder, each named by the digest of all that it depends on.
+
+A build, a blend and a mimicry keep here what they computed of each frame. The same work resumes from these results;
+other settings reuse those that they do not change; several runs may share a folder. Source: ours.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import re
+import zlib
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from morphspace.arrays import AnyArray
+from morphspace.errors import UnreadableFile
+from morphspace.storage import (
+    digest_of_json,
+    json_text,
+    make_folder,
+    read_container,
+    remove_unfinished,
+    write_container,
+)
+
+SUFFIX = ".kept"
+KEY_DIGITS = 32  # hexadecimal digits; 128 bits do not collide by chance
+NAME = re.compile(rf"[0-9a-f]{{{KEY_DIGITS}}}{re.escape(SUFFIX)}")
+
+
+def result_file(folder: Path, *parts: Any) -> Path:
+    """Return the file of a result in a folder.
+
+    Parameters
+    ----------
+    folder
+        The folder of results.
+    *parts
+        All that the result depends on, as JSON: a name and version of its kind, versions of what computes it, settings,
+        digests of its inputs.
+    """
+    return folder / f"{digest_of_json(parts)[:KEY_DIGITS]}{SUFFIX}"
+
+
+def write_result(file: Path, arrays: Mapping[str, AnyArray], document: Mapping[str, Any]) -> None:
+    """Write a result, named arrays and a JSON document, whole or not at all. Raises `UnwritableFile`."""
+    write_container(file, arrays, {"checksum": _checksum(arrays, document), "document": dict(document)})
+
+
+def read_result(file: Path) -> tuple[dict[str, AnyArray], dict[str, Any]]:
+    """Read a result and compare its content with its checksum.
+
+    Returns
+    -------
+    arrays
+        By name, read-only memory maps.
+    document
+        The JSON document.
+
+    Raises
+    ------
+    UnreadableFile
+        The file is missing or damaged.
+    """
+    arrays, head = read_container(file)
+    document = head.get("document")
+    if not isinstance(document, dict) or head.get("checksum") != _checksum(arrays, document):
+        raise UnreadableFile(
+            f"{file} is damaged: its content differs from its checksum. Run the command again"
+        )
+    return arrays, document
+
+
+def is_finished(file: Path) -> bool:
+    """Return whether a result is there and undamaged; one that is not has to be computed again."""
+    try:
+        read_result(file)
+    except UnreadableFile:
+        return False
+    return True
+
+
+def forget(folder: Path) -> None:
+    """Remove all results from a folder, then the folder if nothing else is in it. Files of people stay."""
+    if not folder.is_dir():
+        return
+    remove_unfinished(folder, SUFFIX)
+    for path in folder.iterdir():
+        if NAME.fullmatch(path.name) and not path.is_dir():
+            path.unlink(missing_ok=True)
+    with contextlib.suppress(OSError):  # something is left
+        folder.rmdir()
+
+
+@contextlib.contextmanager
+def work_folder(given: Path | None, output: Path) -> Iterator[Path]:
+    """Provide the folder of results for a block that writes `output`: the given one, or OUTPUT.work.
+
+    OUTPUT.work is removed when the block succeeds. When it fails after a result was finished, the folder stays, and the
+    next run resumes from it. Raises `UnwritableFile`.
+    """
+    folder = given or output.with_name(f"{output.name}.work")
+    is_new = not folder.exists()
+    make_folder(folder)
+    remove_unfinished(folder, SUFFIX, abandoned=True)
+    try:
+        yield folder
+    except BaseException:
+        if is_new:
+            with contextlib.suppress(OSError):  # finished results are in it
+                folder.rmdir()
+        raise
+    if given is None:
+        forget(folder)
+
+
+def _checksum(arrays: Mapping[str, AnyArray], document: Mapping[str, Any]) -> int:
+    """Return the CRC-32 of a result: damage is accidental, and SHA-256 of a frame takes three times as long."""
+    total = zlib.crc32(json_text(document).encode())
+    for name, array in arrays.items():
+        total = zlib.crc32(f"{name}{array.dtype.str}{array.shape}".encode(), total)
+        total = zlib.crc32(np.ascontiguousarray(array).reshape(-1).view(np.uint8).data, total)
+    return total
