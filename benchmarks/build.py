@@ -20,7 +20,7 @@ from morphspace import cache, steps
 from morphspace.face.registration import Registration
 from morphspace.flow import FlowMethod, methods
 from morphspace.model import passes, reference, work_frames
-from morphspace.report import figures
+from morphspace.report import frames
 from morphspace.verbs import build_model
 from morphspace.verbs.build_model import BuildModelRequest
 
@@ -139,7 +139,7 @@ def _timed_build(data: Path, workers: int) -> Timed:
         replaced(passes, "in_order", threads),
         replaced(work_frames, "in_order", threads),
         replaced(reference, "in_order", threads),
-        replaced(figures, "in_order", threads),
+        replaced(frames, "in_order", threads),
     ):
         sources = (str(data / "sequences" / BUILD_CLIP),)
         last = time.perf_counter()

@@ -133,7 +133,8 @@ def build_task(data: str, name: str, width: int, height: int, flow: str, count: 
     from clips import clip_frames
 
     from morphspace.model.passes import BuildSettings, build_steps
-    from morphspace.report import measure_frames, write_report
+    from morphspace.report.build_page import write_build_page
+    from morphspace.report.frames import measure_frames
     from morphspace.steps import result_of
 
     source = clip_frames(Path(data), name, (width, height))
@@ -146,7 +147,7 @@ def build_task(data: str, name: str, width: int, height: int, flow: str, count: 
         )
         build = result_of(steps)
         build.model.save(Path(folder) / "face.morph")
-        write_report(Path(folder) / "face.html", build, result_of(measure_frames(build)))
+        write_build_page(Path(folder) / "face.html", build, result_of(measure_frames(build)))
         rank = build.model.rank
         return {"before": before, "peak": peak_bytes(), "seconds": time.perf_counter() - start, "rank": rank}
 

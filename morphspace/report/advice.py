@@ -15,7 +15,7 @@ import numpy as np
 from morphspace.arrays import Affine, AnyArray
 from morphspace.flow.baselines import LUMA
 from morphspace.model.passes import Build
-from morphspace.report.figures import FrameFigures
+from morphspace.report.frames import FrameFigures
 
 HEAD_SHIFT_SHARE = 0.08  # of the frame's side; more brings background in, and seldom comes without a turn
 HEAD_TURN_DEG = 10.0  # in the picture's plane; the resampling is exact, but such a head also tilts in depth

@@ -1,180 +1,343 @@
-"""The page of a blend: every version beside what was made of them, how sharp it is, and whose part was left out.
+"""The page of a blend: every version beside its blend, how sharp the blend is, and which versions were left out.
 
-The page is complete in itself. The pixel average of the same pictures (Galton, Journal of the Anthropological Institute
-8, 1878) stands beside the blend, since it is what a blend without correspondence gives. The blend is that of Nagle
-section 4; the figures are ours.
+The pixel average of the same pictures (Galton, Journal of the Anthropological Institute 8, 1878) stands beside the
+blend: it is what a blend without correspondence gives. The blend is that of Nagle section 4; the measures are ours.
 """
 
 from __future__ import annotations
 
-from morphspace.report import avatar_tables, pictures, sections
-from morphspace.report.avatar_shown import (
-    FULL_PART,
-    AvatarShown,
-    ExpressionRow,
-    parts_taken,
-    rows_shown,
-    sharp_shares,
-)
-from morphspace.report.avatar_tables import percent_of
-from morphspace.report.blocks import key_figures, notes_section, page_by_itself, settings_section
-from morphspace.report.figures import small
-from morphspace.report.markup import DASH, NOTHING, Html, element, figure, joined, section, sentence, text
-from morphspace.report.style import STYLE
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from morphspace.arrays import AnyArray, Image
+from morphspace.avatar.distances import MeanDistances
+from morphspace.model.model import MorphModel
+from morphspace.report import pictures
+from morphspace.report.components import Components, components_of, explained
+from morphspace.report.frames import small
+from morphspace.report.page import DASH, Panel, fixed, percent, render
 from morphspace.steps import spread
 
-__all__ = ["AvatarShown", "ExpressionRow", "avatar_page", "rows_shown"]
-
+SHEET_ROWS = 24  # at most; the work folder has all
+LEAST_SHARE_OF_SHEET = 0.25  # of its rows are kept for expressions with the most versions left out
+FULL_PART = 0.75  # of the part its weight gives it: with less, a version counts as given less weight
 LARGE_FACES = 3  # blend and pixel average beside each other, at full size
-AVATAR_STYLE = """
-.rows{overflow-x:auto}
-.row{display:grid;gap:6px;margin-top:8px;break-inside:avoid}
-.row figcaption{font-size:.72rem;margin-top:.2rem;line-height:1.3}
-.row .own img{outline:2px solid var(--accent)}
-.row .out img{opacity:.35}
-.row .out figcaption{color:var(--alarm)}
-.row .less figcaption{color:var(--amber)}
-.large{display:grid;grid-template-columns:1fr 1fr;gap:10px 14px;max-width:760px;margin-top:1rem}
-td.nearest{font-weight:600}
-"""
+SOURCES_SHOWN = 60  # rows of the table of expressions with versions left out; most left out first
+COMPONENTS_LISTED = 12
+PICTURES_MADE = {
+    "unsharpened": "blend before the unsharp mask",
+    "pictures": "blended pictures, sharpened",
+    "blend": "blend",
+    "pixel average": "pixel average",
+}
 
 
-def avatar_page(shown: AvatarShown) -> str:
-    """Give the page as HTML; the same values give the same bytes. Blend: Nagle section 4; page: ours."""
-    title = f"{shown.model.identity}: a blend of {', '.join(shown.identities)}"
-    count = len(shown.frames)
-    kicker = (
-        f"{len(shown.identities)} identities, {count} expression{'' if count == 1 else 's'}; hair, neck and "
+@dataclass(frozen=True, eq=False)
+class ExpressionRow:
+    """One row of the contact sheet: pictures (h, w, 3) of expression number `index`.
+
+    `versions` one for each identity, aligned, as they were blended | `blend` | `pixel_average` of the same versions
+    with the same weights, without any warp.
+    """
+
+    index: int
+    versions: Sequence[Image]
+    blend: Image
+    pixel_average: Image
+
+
+@dataclass(frozen=True, eq=False)
+class AvatarResult:
+    """A blend of k identities and n expressions as its verb made it.
+
+    `model` the avatar | `identities` k names | `asked` (k,) weights asked for, sum 1 | `sources` (n,) whose each
+    expression is, and `frames` (n,) the name of the training frame there, in the order of the model's training rows |
+    `used` (n, k) weights of the versions' expressions, 0 where a version was left out | `plausibility` (n, k) 0 to 1
+    | `rows` of the contact sheet | `sharpness` variance of the Laplacian inside the mask, of "sources" (k,), "blend",
+    "pixel average" and, where known, "pictures" and "unsharpened" | `sharpen` the amount used | `surround` whose hair,
+    neck and background it has | `distances` between the mean faces, None where unknown | `notes` to read first |
+    `settings` name to value.
+    """
+
+    model: MorphModel
+    identities: tuple[str, ...]
+    asked: AnyArray
+    sources: Sequence[int]
+    frames: Sequence[str]
+    used: AnyArray
+    plausibility: AnyArray
+    rows: Sequence[ExpressionRow]
+    sharpness: Mapping[str, Any]
+    sharpen: float
+    surround: str
+    distances: MeanDistances | None
+    notes: Sequence[str]
+    settings: Mapping[str, str]
+
+    def label(self, index: int) -> str:
+        """Name an expression by its identity and its frame."""
+        return f"{self.identities[self.sources[index]]}, {self.frames[index]}"
+
+
+@dataclass(frozen=True)
+class SheetRow:
+    """A row of the contact sheet with its captions."""
+
+    versions: Sequence[Panel]
+    blend: Panel
+    pixel_average: Panel
+
+
+@dataclass(frozen=True, eq=False)
+class AvatarPage:
+    """What `avatar.html` shows, in the order of the page."""
+
+    title: str
+    identity: str
+    identities: tuple[str, ...]
+    expressions: int
+    surround: str
+    blend_share: float
+    average_share: float
+    sharpen: float
+    versions: int
+    left_out: int
+    less_weight: int
+    notes: Sequence[str]
+    sheet: Sequence[SheetRow]
+    large: Sequence[Panel]
+    identity_rows: Sequence[Sequence[str]]
+    distances: Mapping[str, Sequence[Sequence[str]]] | None
+    has_landmarks: bool
+    sharpness_rows: Sequence[Sequence[str]]
+    affected: Sequence[Sequence[str]]
+    components: Components
+    sd_headings: Sequence[str]
+    component_rows: Sequence[Sequence[str]]
+    settings: Mapping[str, str]
+    full_part: float = FULL_PART
+    listed: int = SOURCES_SHOWN
+
+
+def avatar_page(made: AvatarResult) -> str:
+    """Return the page as HTML; the same values give the same bytes. Blend: Nagle section 4; page: ours."""
+    taken = parts_taken(made.used, made.asked)
+    shares = sharp_shares(made)
+    distances = made.distances
+    page = AvatarPage(
+        title=f"{made.model.identity}: a blend of {', '.join(made.identities)}",
+        identity=made.model.identity,
+        identities=made.identities,
+        expressions=len(made.frames),
+        surround=made.surround,
+        blend_share=shares["blend"],
+        average_share=shares["pixel average"],
+        sharpen=made.sharpen,
+        versions=taken.size,
+        left_out=int((taken == 0).sum()),
+        less_weight=int(((taken > 0) & (taken < FULL_PART)).sum()),
+        notes=made.notes,
+        sheet=[_sheet_row(made, row, taken[row.index]) for row in made.rows],
+        large=_large(made),
+        identity_rows=_identity_rows(made, taken),
+        distances=None if distances is None else _distances(made, distances),
+        has_landmarks=distances is not None and distances.shape_percent is not None,
+        sharpness_rows=_sharpness_rows(made, shares),
+        affected=_affected(made, taken),
+        components=components_of(made.model),
+        sd_headings=[f"SD in {name}" for name in made.identities],
+        component_rows=_component_rows(made),
+        settings=made.settings,
     )
-    kicker += f"background: {shown.surround}"
-    parts = [
-        element("h1", text(title)),
-        element("p", text(kicker), class_="kicker"),
-        _figures(shown),
-        notes_section(shown.notes),
-        _whose(shown),
-        _sheet(shown),
-        _large(shown),
-        avatar_tables.identities_section(shown),
-        avatar_tables.sharpness_section(shown),
-        avatar_tables.left_out_section(shown),
-        sections.variance_section(shown.model),
-        avatar_tables.components_section(shown),
-        sections.components_section(shown.model),
-        settings_section(shown.settings),
-    ]
-    return page_by_itself(title, STYLE + AVATAR_STYLE, parts)
+    return render("avatar.html", page)
 
 
-def _figures(shown: AvatarShown) -> Html:
-    taken = parts_taken(shown.used, shown.asked)
-    out, less = int((taken == 0).sum()), int(((taken > 0) & (taken < FULL_PART)).sum())
-    sharp = sharp_shares(shown)
-    share = sections.explained(shown.model)
-    variance = f"{sections.percent(share[-1])} %" if shown.model.rank else DASH
-    versions = taken.size
-    entries = [
-        (f"{len(shown.frames)}", "expressions blended"),
-        (percent_of(sharp["blend"]), "as sharp as the sources, on average"),
-        (percent_of(sharp["pixel average"]), "as sharp is the pixel average of the same pictures"),
-        (f"{shown.sharpen:.2f}", "amount of the unsharp mask"),
-        (f"{out}", f"of {versions} versions left out; {less} more given less weight"),
-        (variance, f"of variance explained by {shown.model.rank} components"),
-    ]
-    return key_figures(entries)
+def rows_shown(used: AnyArray, asked: AnyArray, at_most: int = SHEET_ROWS) -> list[int]:
+    """Return which of n expressions the contact sheet shows, in order: evenly spread, and those with most left out.
+
+    `used` (n, k) and `asked` (k,) weights, as in `AvatarResult`. Ours.
+    """
+    count = len(used)
+    if count <= at_most:
+        return list(range(count))
+    missing = (1 - parts_taken(used, asked)).sum(axis=1)
+    kept = max(1, round(at_most * LEAST_SHARE_OF_SHEET))
+    worst = [int(index) for index in np.argsort(-missing, kind="stable")[:kept] if missing[index] > 0]
+    others = [index for index in range(count) if index not in worst]
+    evenly = [others[place] for place in spread(len(others), at_most - len(worst))]
+    return sorted({*worst, *evenly})
 
 
-def _whose(shown: AvatarShown) -> Html:
-    """Say what of the pictures is one person's alone."""
-    inside = "Glasses and beard inside the face are those of the sources who have them, fainter the less their weight."
-    if shown.surround in shown.identities:
-        words = (
-            f"{shown.surround}'s alone, at any weight. People know a person by hair, ears and the outline of the head "
-            f"too, so that to the eye the blend is nearer to {shown.surround} than the weights say. --surround flat "
-            f"puts grey there, --surround NAME another person's. {inside}"
-        )
-    else:
-        words = f"Nobody's: what surrounds the face is flat grey. {inside}"
-    return section("surround", "Hair, ears, neck and background", sentence(words))
+def parts_taken(used: AnyArray, asked: AnyArray) -> AnyArray:
+    """Return which part of its weight each version kept, (n, k) from 0, left out, to 1; an asked weight of 0 gives 1.
+
+    Weights are shares of one, so where a version is left out the others' grow. The one that kept most counts as 1.
+    """
+    takes_part = asked > 0
+    kept = np.where(takes_part, used / np.where(takes_part, asked, 1), 0.0)
+    most = np.maximum(kept.max(axis=1, keepdims=True), np.finfo(float).tiny)
+    return np.where(takes_part, kept / most, 1.0)
 
 
-def _sheet(shown: AvatarShown) -> Html:
-    taken = parts_taken(shown.used, shown.asked)
-    columns = f"grid-template-columns:repeat({len(shown.identities) + 2},minmax(84px,1fr))"
-    drawn = []
-    for row in shown.rows:
-        source, frame = shown.identities[shown.sources[row.index]], shown.frames[row.index]
-        cells = [
-            _version(shown, row, place, float(taken[row.index, place]))
-            for place in range(len(shown.identities))
-        ]
-        label = f"{source}, {frame}"
-        cells.append(
-            figure(pictures.photograph(small(row.blend), f"{label}: blend"), element("strong", text("blend")))
-        )
-        cells.append(
-            figure(
-                pictures.photograph(small(row.pixel_average), f"{label}: pixel average"),
-                text("pixel average"),
-            )
-        )
-        drawn.append(element("div", *cells, class_="row", style=columns))
-    total = len(shown.frames)
-    some = (
-        f" {len(drawn)} of {total} expressions: evenly spread, and those where most was left out."
-        if len(drawn) < total
-        else ""
+def source_sharpness(made: AvatarResult) -> float:
+    """Return the mean sharpness of the sources, by the weights asked for."""
+    return float(np.asarray(made.sharpness["sources"], np.float64) @ np.asarray(made.asked, np.float64))
+
+
+def sharp_shares(made: AvatarResult) -> dict[str, float]:
+    """Return the sharpness of each picture made as a share of the sources' weighted mean, NaN where that is 0."""
+    mean = source_sharpness(made)
+    return {
+        name: float(value) / mean if mean > 0 else float("nan")
+        for name, value in made.sharpness.items()
+        if name != "sources" and value is not None
+    }
+
+
+def variance_between(loadings: AnyArray, sources: Sequence[int]) -> AnyArray:
+    """Return the share of each component's variance (k,) between the sources: the correlation ratio, 0 to 1.
+
+    `loadings` (n, k), `sources` (n,) whose each row is. It is the between-groups sum of squares over the total
+    (Pearson's eta squared): near 0 a component shows expression alone, near 1 it separates the identities.
+    """
+    owners = np.asarray(sources)
+    centred = loadings - loadings.mean(axis=0)
+    total = (centred**2).sum(axis=0)
+    between = np.zeros(loadings.shape[1])
+    for source in np.unique(owners):
+        rows = centred[owners == source]
+        between += len(rows) * rows.mean(axis=0) ** 2
+    return np.where(total > 0, between / np.maximum(total, np.finfo(float).tiny), 0.0)
+
+
+def _sheet_row(made: AvatarResult, row: ExpressionRow, taken: AnyArray) -> SheetRow:
+    label = made.label(row.index)
+    return SheetRow(
+        [_version(made, row, place, float(taken[place])) for place in range(len(made.identities))],
+        Panel(pictures.photograph(small(row.blend), f"{label}: blend"), "blend"),
+        Panel(pictures.photograph(small(row.pixel_average), f"{label}: pixel average"), "pixel average"),
     )
-    words = (
-        "Each row is one expression: the version of each identity, the one whose expression it is outlined; then the "
-        "blend, and last the pixel average of the same versions. Under each version its weight; a faded one was left "
-        f"out.{some}"
-    )
-    return section("sheet", "Contact sheet", sentence(words), element("div", joined(drawn), class_="rows"))
 
 
-def _version(shown: AvatarShown, row: ExpressionRow, place: int, part: float) -> Html:
-    name = shown.identities[place]
-    own = place == shown.sources[row.index]
-    weight = float(shown.used[row.index, place])
-    words = f"{name}: {100 * weight:.0f} %"
-    if shown.asked[place] > 0 and part == 0:
+def _version(made: AvatarResult, row: ExpressionRow, place: int, part: float) -> Panel:
+    name, frame, source = made.identities[place], made.frames[row.index], made.sources[row.index]
+    weight = float(made.used[row.index, place])
+    words = f"{name}: {percent(weight)}"
+    if made.asked[place] > 0 and part == 0:
         words = f"{name}: left out"
-    label = f"{name} shows {shown.frames[row.index]} of {shown.identities[shown.sources[row.index]]}"
-    kinds = [
-        kind for kind, holds in (("own", own), ("out", weight == 0), ("less", 0 < part < FULL_PART)) if holds
-    ]
-    caption = [text(words)]
-    if own:
-        caption.append(text(f" (its own, {shown.frames[row.index]})"))
-    return figure(
-        pictures.photograph(small(row.versions[place]), label),
-        *caption,
-        **({"class_": " ".join(kinds)} if kinds else {}),
+    kinds = {"own": place == source, "out": weight == 0, "less": 0 < part < FULL_PART}
+    return Panel(
+        pictures.photograph(small(row.versions[place]), f"{name} shows {frame} of {made.identities[source]}"),
+        words,
+        f" (its own, {frame})" if place == source else "",
+        " ".join(kind for kind, holds in kinds.items() if holds),
     )
 
 
-def _large(shown: AvatarShown) -> Html:
-    chosen = [shown.rows[place] for place in spread(len(shown.rows), LARGE_FACES)]
-    if not chosen:
-        return NOTHING
-    cells = []
-    for row in chosen:
-        label = f"{shown.identities[shown.sources[row.index]]}, {shown.frames[row.index]}"
-        cells.append(figure(pictures.photograph(row.blend, f"Blend of {label}"), text(f"{label}: blend")))
-        cells.append(
-            figure(
-                pictures.photograph(row.pixel_average, f"Pixel average of {label}"),
-                text("the pixel average of the same versions"),
+def _large(made: AvatarResult) -> list[Panel]:
+    panels = []
+    for row in (made.rows[place] for place in spread(len(made.rows), LARGE_FACES)):
+        label = made.label(row.index)
+        average = pictures.photograph(row.pixel_average, f"Pixel average of {label}")
+        panels.append(Panel(pictures.photograph(row.blend, f"Blend of {label}"), f"{label}: blend"))
+        panels.append(Panel(average, "the pixel average of the same versions"))
+    return panels
+
+
+def _identity_rows(made: AvatarResult, taken: AnyArray) -> list[Sequence[str]]:
+    sources, mean_used = np.asarray(made.sources), made.used.mean(axis=0)
+    rows: list[Sequence[str]] = []
+    for place, name in enumerate(made.identities):
+        others = sources != place
+        left = taken[others, place] == 0
+        less = ~left & (taken[others, place] < FULL_PART)
+        rows.append(
+            (
+                name,
+                f"{100 * made.asked[place]:.1f}",
+                f"{100 * mean_used[place]:.1f}",
+                f"{(~others).sum()}",
+                f"{left.sum()} of {others.sum()}",
+                f"{less.sum()}",
             )
         )
-    shares = sharp_shares(shown)
-    words = (
-        "Both are made of the same versions with the same weights; the blend averages where each point lies before it "
-        "averages colours. Look for double edges at brows, lids and lips: an average of pixels has them everywhere. "
-        f"The blend is {percent_of(shares['blend'])} as sharp as the sources, the pixel average "
-        f"{percent_of(shares['pixel average'])}."
-    )
-    return section(
-        "average", "Beside the pixel average", sentence(words), element("div", *cells, class_="large")
-    )
+    return rows
+
+
+def _distances(made: AvatarResult, distances: MeanDistances) -> dict[str, list[Sequence[str]]]:
+    """Give the rows of the tables of distances; of shape none where a model does not know its landmarks."""
+    count = len(made.identities)
+    tables: dict[str, list[Sequence[str]]] = {}
+    for quantity, values in (("shape", distances.shape_percent), ("colour", distances.colour_percent)):
+        if values is None:
+            continue
+        to_others = values[:count, :count].sum(axis=1) / max(count - 1, 1)
+        tables[quantity] = [
+            (
+                name,
+                *(f"{value:.1f}" for value in values[row]),
+                f"{to_others[row]:.1f}",
+                "yes" if values[row, count] < to_others[row] else "no",
+            )
+            for row, name in enumerate(made.identities)
+        ]
+    return tables
+
+
+def _sharpness_rows(made: AvatarResult, shares: Mapping[str, float]) -> list[Sequence[str]]:
+    mean = source_sharpness(made)
+
+    def row(words: str, value: float, share: float) -> Sequence[str]:
+        return words, f"{value:.3g}" if np.isfinite(value) else DASH, percent(share)
+
+    sources = zip(made.identities, map(float, made.sharpness["sources"]), strict=True)
+    rows = [row(name, value, value / mean if mean > 0 else float("nan")) for name, value in sources]
+    rows.append(row("mean of the sources, by weight", mean, 1.0))
+    known = ((name, words) for name, words in PICTURES_MADE.items() if name in shares)
+    return rows + [row(words, float(made.sharpness[name]), shares[name]) for name, words in known]
+
+
+def _affected(made: AvatarResult, taken: AnyArray) -> list[Sequence[str]]:
+    """List the expressions with versions left out or given less weight, most first."""
+    rows: list[Sequence[str]] = []
+    for index in np.argsort(-(1 - taken).sum(axis=1), kind="stable"):
+        if (taken[index] >= FULL_PART).all():
+            continue
+        out, less = [], []
+        for name, part, weight, plausibility in zip(
+            made.identities, taken[index], made.used[index], made.plausibility[index], strict=True
+        ):
+            if part == 0:
+                out.append(f"{name} ({fixed(plausibility)})")
+            elif part < FULL_PART:
+                less.append(f"{name} ({percent(weight)}, {fixed(plausibility)})")
+        source = made.identities[made.sources[index]]
+        rows.append((made.frames[index], source, ", ".join(out), ", ".join(less)))
+    return rows
+
+
+def _component_rows(made: AvatarResult) -> list[Sequence[str]]:
+    """List each component's variance, its share between the sources, and the SD within each source."""
+    model, sources = made.model, np.asarray(made.sources)
+    if model.rank == 0:
+        return []
+    loadings, together = model.training.values, explained(model)
+    alone, between = np.diff(together, prepend=0), variance_between(loadings, made.sources)
+    return [
+        (
+            f"pc{number + 1:03d}",
+            f"{alone[number]:.1f}",
+            f"{together[number]:.1f}",
+            f"{100 * between[number]:.0f}",
+            *(
+                f"{loadings[sources == place, number].std() / model.sd[number]:.2f}"
+                if (sources == place).any()
+                else DASH
+                for place in range(len(made.identities))
+            ),
+        )
+        for number in range(min(COMPONENTS_LISTED, model.rank))
+    ]

@@ -2,10 +2,15 @@
 
 What to look at: the warped picture should be the first; the grid should be stretched, not torn; the colours should keep
 to the face. Drawn with OpenCV alone, its built-in typeface included, so that the sheet looks the same everywhere.
+
+Hue is the direction and saturation the length of a displacement. The colour wheel is that of the Middlebury benchmark
+(Baker et al., IJCV 92, 2011): six stretches between red, yellow, green, cyan, blue and magenta, wide where the eye
+distinguishes many shades and narrow where it distinguishes few. Right is red, down yellow, left cyan, up violet.
 """
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -17,7 +22,6 @@ from morphspace.arrays import AnyArray, Displacement, Image
 from morphspace.flow import Flow
 from morphspace.flow.baselines import LUMA
 from morphspace.grid import warp
-from morphspace.report.flow_colours import colours_of, rim_of, wheel
 from morphspace.report.pictures import change_chart
 
 PANEL_PX = 440  # the longer side of a picture on the sheet
@@ -37,6 +41,12 @@ GRID_LINES = 22  # along the longer side
 LONGEST_TEXT = 120  # characters; no line of the sheet has room for more
 UNPRINTABLE = re.compile(r"[\x00-\x1f\x7f]+")
 SUBPIXEL_BITS = 4  # lines are placed to 1/16 px
+STRETCHES = (15, 6, 4, 11, 13, 6)  # hues from red to yellow, to green, to cyan, to blue, to magenta, to red
+CORNERS = np.array([[1, 0, 0], [1, 1, 0], [0, 1, 0], [0, 1, 1], [0, 0, 1], [1, 0, 1], [1, 0, 0]], np.float64)
+BEYOND = 0.75  # brightness of a displacement longer than the rim
+RIM_QUANTILE = 0.998  # a few outliers do not make the rest pale
+NICE = (1.0, 1.2, 1.5, 2.0, 2.5, 3.0, 4.0, 5.0, 6.0, 8.0, 10.0)  # what a rim may be, times a power of ten
+LEAST_RIM_PX = 0.1  # a field at rest stays white, noise or not
 
 Colour = tuple[int, int, int]
 
@@ -96,6 +106,35 @@ def flow_picture(
         )
     _put_legend(sheet, MARGIN_PX + 3 * (cell_width + GAP_PX), rim_px, figures)
     return sheet.astype(np.float32) / np.float32(255)
+
+
+def colours_of(displacement: Displacement, rim_px: float) -> Image:
+    """Give a field (h, w, 2) as colours (h, w, 3): white at rest, full colour at `rim_px`, darker beyond it."""
+    u, v = displacement[..., 0].astype(np.float64), displacement[..., 1].astype(np.float64)
+    places = np.cumsum((0, *STRETCHES))
+    turn = np.mod(np.arctan2(v, u) / (2 * np.pi), 1.0) * places[-1]
+    hue = np.stack([np.interp(turn, places, channel) for channel in CORNERS.T], axis=-1)
+    share = (np.hypot(u, v) / rim_px)[..., None]
+    colours: AnyArray = np.where(share <= 1, 1 - share * (1 - hue), BEYOND * hue)
+    return colours.astype(np.float32)
+
+
+def rim_of(displacement: Displacement) -> float:
+    """Give a round length (px) that nearly all displacements stay within: the rim of the wheel for this field."""
+    length = float(np.quantile(np.hypot(displacement[..., 0], displacement[..., 1]), RIM_QUANTILE))
+    length = max(length, LEAST_RIM_PX)
+    power = 10.0 ** math.floor(math.log10(length))
+    return next(power * nice for nice in NICE if power * nice >= length * (1 - 1e-6))
+
+
+def wheel(diameter: int) -> tuple[Image, AnyArray]:
+    """Give the wheel as a picture (d, d, 3), the rim at its edge, and how much of each pixel is inside, (d, d)."""
+    radius = diameter / 2
+    step = np.arange(diameter) + 0.5 - radius
+    field = np.stack(np.meshgrid(step, step), axis=-1).astype(np.float32)
+    length = np.hypot(field[..., 0], field[..., 1])
+    field *= np.minimum(1, radius / np.maximum(length, 1e-6))[..., None]
+    return colours_of(field, radius * (1 + 1e-6)), np.clip(radius - length + 0.5, 0, 1)
 
 
 def warped_grid(displacement: Displacement, spacing_px: float) -> list[AnyArray]:
@@ -211,7 +250,7 @@ def _put_legend(sheet: AnyArray, left: int, rim_px: float, figures: Sequence[tup
         sheet, f"{rim_px:g} px", left + WHEEL_PX + 7, middle + 5, TEXT_SIZE, BOLD, INK, LEGEND_PX - WHEEL_PX
     )
     y += WHEEL_PX + GAP_PX
-    _write(sheet, "a point of A moves as its colour tells", left, y, SMALL_SIZE, REGULAR, SOFT, LEGEND_PX)
+    _write(sheet, "the colour at a point of A is its motion", left, y, SMALL_SIZE, REGULAR, SOFT, LEGEND_PX)
     y += 2 * GAP_PX
     for name, value in figures:
         cv2.line(sheet, (left, y - LINE_PX + 8), (left + LEGEND_PX - 1, y - LINE_PX + 8), RULE, 1)

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
+from markupsafe import Markup
 
 from morphspace.arrays import AnyArray, Image, Mask
 from morphspace.flow.baselines import LUMA
@@ -16,7 +17,7 @@ from morphspace.io.images import jpeg_bytes, png_bytes
 from morphspace.linear.quality import rms_px
 from morphspace.model.model import MorphModel
 from morphspace.model.morph import Morph, parts_of
-from morphspace.report.markup import Html, element
+from morphspace.report.page import markup
 from morphspace.steps import in_order
 
 JPEG_QUALITY = 88  # on faces of this size its errors cannot be seen, and a page stays below a few megabytes
@@ -48,19 +49,25 @@ class ComponentStrip:
     change: AnyArray
 
 
-def photograph(image: Image, alt: str) -> Html:
+def photograph(image: Image, alt: str) -> Markup:
     """Give an image (h, w, 3) as a JPEG on the page."""
     return _picture("jpeg", jpeg_bytes(image, JPEG_QUALITY), image, alt)
 
 
-def chart(image: Image, alt: str) -> Html:
+def chart(image: Image, alt: str) -> Markup:
     """Give a map (h, w, 3) as a PNG on the page, so that its marks stay sharp."""
     return _picture("png", png_bytes(image), image, alt)
 
 
-def _picture(kind: str, content: bytes, image: Image, alt: str) -> Html:
-    address = f"data:image/{kind};base64,{base64.b64encode(content).decode('ascii')}"
-    return element("img", src=address, alt=alt, width=image.shape[1], height=image.shape[0])
+def _picture(kind: str, content: bytes, image: Image, alt: str) -> Markup:
+    return markup(
+        '<img src="data:image/{kind};base64,{data}" alt="{alt}" width="{width}" height="{height}">',
+        kind=kind,
+        data=Markup(base64.b64encode(content).decode("ascii")),
+        alt=alt,
+        width=image.shape[1],
+        height=image.shape[0],
+    )
 
 
 def stacked(upper: Image, lower: Image) -> Image:
@@ -151,8 +158,8 @@ def _zoomed(values: AnyArray, zoom: int) -> AnyArray:
     return np.repeat(np.repeat(values, zoom, axis=0), zoom, axis=1)
 
 
-def outlines(mask: Mask, kind: str, level: float = 0.5) -> list[Html]:
-    """Give the lines along which a mask (h, w) passes `level`, as paths of a drawing over the picture."""
+def outlines(mask: Mask, kind: str, level: float = 0.5) -> Markup:
+    """Return the lines along which a mask (h, w) passes `level`, as paths of a drawing over the picture."""
     height, width = mask.shape
     fine = cv2.resize(mask, (width * FINER, height * FINER), interpolation=cv2.INTER_LINEAR)
     inside = (fine > level).astype(np.uint8)
@@ -161,12 +168,15 @@ def outlines(mask: Mask, kind: str, level: float = 0.5) -> list[Html]:
     for contour in contours:
         points = (cv2.approxPolyDP(contour, 1.0, True).reshape(-1, 2) + 0.5) / FINER - 0.5
         steps = "L".join(f"{x:.2f} {y:.2f}" for x, y in points.tolist())
-        paths.append(element("path", d=f"M{steps}Z", class_=kind))
-    return paths
+        paths.append(markup('<path d="M{steps}Z" class="{kind}"/>', steps=steps, kind=kind))
+    return Markup("").join(paths)
 
 
-def drawn_over(picture: Html, image: Image, parts: list[Html]) -> Html:
+def drawn_over(picture: Markup, image: Image, drawing: Markup) -> Markup:
     """Lay a drawing in the image's own px over its picture on the page; pixel centres are at integers."""
     height, width = image.shape[:2]
-    drawing = element("svg", *parts, viewBox=f"-0.5 -0.5 {width} {height}", aria_hidden="true")
-    return element("div", picture, drawing, class_="over")
+    form = (
+        '<div class="over">{picture}'
+        '<svg viewBox="-0.5 -0.5 {width} {height}" aria-hidden="true">{drawing}</svg></div>'
+    )
+    return markup(form, picture=picture, width=width, height=height, drawing=drawing)

@@ -1,42 +1,31 @@
-"""The page of a stimulus set: a contact sheet, what its pictures measure, and which of them stand out.
+"""The page of a stimulus set: a contact sheet, the statistics of its pictures, and the stimuli that stand out.
 
-The page is complete in itself. Where a set has more stimuli than a sheet can show, evenly chosen ones are shown and the
-page says so; the statistics are those of all. Ours.
+The sheet of a large set shows evenly chosen stimuli and says so; the statistics are those of all. Ours.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from markupsafe import Markup
 
-from morphspace.arrays import Image
+from morphspace.arrays import AnyArray, Image
 from morphspace.report import pictures
-from morphspace.report.blocks import key_figures, notes_section, page_by_itself, settings_section
-from morphspace.report.markup import DASH, Html, element, figure, section, sentence, table, text
+from morphspace.report.page import DASH, Panel, render
 from morphspace.report.plots import SMALL_SIZE, Mark, Plot, line_plot
-from morphspace.report.style import STYLE
 from morphspace.stimuli.image_statistics import FIGURES, SPACES
 
 SHOWN_AT_MOST = 96  # pictures of a sheet: some 10 kB each
 CLIPPED_PERCENT = 0.1  # of the colour values; fewer are the overshoot of a sharp edge
-FOLDED_PERCENT = (
-    0.2  # of the face: no training face of five recordings folds at all, and .4 has been seen as a crease
-)
+FOLDED_PERCENT = 0.2  # of the face: of five recordings no training face folds; 0.4 has been seen as a crease
 SHEET_COLUMNS, MOST_COLUMNS = 8, 12  # of the sheet
+IDENTITIES_NAMED = 6
 NAMED_AT_MOST = 3  # stimuli named in one plot
 LISTED_AT_MOST = 200  # flagged stimuli in the table
-PLOTTED = ("luminance", "rms_contrast", "spectral_slope")
-LEAST_RANGE = {
-    "luminance": 0.02,
-    "rms_contrast": 0.02,
-    "spectral_slope": 0.1,
-    "red": 0.02,
-    "green": 0.02,
-    "blue": 0.02,
-}
+PLOTTED = {"luminance": 0.02, "rms_contrast": 0.02, "spectral_slope": 0.1}  # least range of each axis
 WORDS = {
     "luminance": "mean luminance",
     "rms_contrast": "RMS contrast",
@@ -46,103 +35,101 @@ WORDS = {
     "blue": "mean blue",
 }
 SPACE_WORDS = {"linear": "linear light", "code": "code values"}
-SET_STYLE = """
-@media (min-width:821px){.sheet{grid-template-columns:repeat(var(--columns,8),1fr)}}
-.sheet .flagged img{outline:2px solid var(--amber)}
-.sheet .flagged figcaption{color:var(--amber)}
-"""
+
+Row = Mapping[str, Any]
 
 
 @dataclass(frozen=True, eq=False)
-class SetShown:
-    """What the page shows: title, the manifest's `rows`, notes, settings, and small pictures by the row's place."""
+class StimulusSet:
+    """A set as its verb made it.
+
+    `rows` of the manifest | `thumbnails` small pictures (h, w, 3) by the row's place | `notes` to read first |
+    `settings` name to value | `columns` of the manifest that tell the stimuli apart, the outermost first.
+    """
 
     title: str
-    rows: Sequence[Mapping[str, Any]]
+    rows: Sequence[Row]
     thumbnails: Mapping[int, Image]
     notes: Sequence[str]
     settings: Mapping[str, str]
-    told: Sequence[str]
+    columns: Sequence[str]
+
+
+@dataclass(frozen=True, eq=False)
+class SetPage:
+    """What `set.html` shows: counts of stimuli, the contact sheet, plots and table of statistics, flagged stimuli."""
+
+    title: str
+    kicker: str
+    stimuli: int
+    frames: int
+    clipped: int
+    beyond: int
+    outliers: int
+    furthest_sd: float
+    folded_percent: float
+    notes: Sequence[str]
+    sheet: Sequence[Panel]
+    columns: int
+    plots: Sequence[Markup]
+    statistics: Sequence[Sequence[str]]
+    flagged: Sequence[tuple[str, str]]
+    settings: Mapping[str, str]
+    clipped_limit: float = CLIPPED_PERCENT / 100
+    listed: int = LISTED_AT_MOST
 
 
 def places_shown(count: int) -> tuple[int, ...]:
-    """Give which of so many stimuli the sheet shows."""
-    return tuple(
-        int(place) for place in np.unique(np.linspace(0, count - 1, min(count, SHOWN_AT_MOST)).round())
-    )
+    """Return which of so many stimuli the sheet shows."""
+    places = np.linspace(0, count - 1, min(count, SHOWN_AT_MOST)).round()
+    return tuple(int(place) for place in np.unique(places))
 
 
-def set_page(shown: SetShown) -> str:
-    """Give the page as HTML; the same values give the same bytes."""
-    rows = shown.rows
+def set_page(made: StimulusSet) -> str:
+    """Return the page as HTML; the same values give the same bytes."""
+    rows = made.rows
     identities = list(dict.fromkeys(str(row["identity"]) for row in rows))
-    kicker = f"{len(rows)} stimul{'us' if len(rows) == 1 else 'i'} of {', '.join(identities[:6])}"
-    if len(identities) > 6:
-        kicker += f" and {len(identities) - 6} more"
-    parts = [
-        element("h1", text(shown.title)),
-        element("p", text(kicker), class_="kicker"),
-        _figures(rows),
-        notes_section(shown.notes),
-        _sheet(shown),
-        _statistics(rows),
-        _flagged(rows),
-        settings_section(shown.settings),
-    ]
-    return page_by_itself(shown.title, STYLE + SET_STYLE, parts)
-
-
-def _figures(rows: Sequence[Mapping[str, Any]]) -> Html:
-    counts = [
-        (len(rows), "stimuli"),
-        (sum(int(row["frames"]) for row in rows), "frames"),
-        (sum(float(row["clipped_percent"]) > CLIPPED_PERCENT for row in rows), "clipped in 0.1 % or more"),
-        (sum(bool(row["beyond"]) for row in rows), "beyond 3 SD and every training face"),
-        (sum(bool(row["outlier_in"]) for row in rows), "stand out in image statistics"),
-    ]
-    entries = [(str(count), words) for count, words in counts]
-    furthest = max(float(row["largest_sd"]) for row in rows)
-    folded = max(float(row["folded_percent"]) for row in rows)
-    entries += [
-        (f"{furthest:.1f} SD", "the loading furthest out"),
-        (f"{folded:.2g} %", "folded in the worst stimulus"),
-    ]
-    return key_figures(entries)
-
-
-def _sheet(shown: SetShown) -> Html:
-    figures = []
-    for place, image in sorted(shown.thumbnails.items()):
-        row = shown.rows[place]
-        flags = _flags(row)
-        told = [
-            f"{key} {_value(row[key])}" for key in shown.told if row.get(key) not in (None, "", row["name"])
-        ]
-        caption = [element("strong", text(str(row["name"])))]
-        caption += [text(f" {', '.join(told)}")] if told else []
-        caption += [text(f"; {', '.join(flags)}")] if flags else []
-        picture = pictures.photograph(image, str(row["name"]))
-        figures.append(figure(picture, *caption, **({"class_": "flagged"} if flags else {})))
-    words = "Each stimulus, of a video its middle frame. Framed in amber: look at it before you use it."
-    if len(shown.thumbnails) < len(shown.rows):
-        words = f"{len(shown.thumbnails)} of {len(shown.rows)} stimuli, evenly chosen; of a video the middle frame."
-    columns = (
-        SHEET_COLUMNS if len(shown.thumbnails) < len(shown.rows) else sheet_columns(shown.rows, shown.told)
+    kicker = (
+        f"{len(rows)} stimul{'us' if len(rows) == 1 else 'i'} of {', '.join(identities[:IDENTITIES_NAMED])}"
     )
-    sheet = element("div", *figures, class_="sheet", style=f"--columns:{columns}")
-    return section("sheet", "Contact sheet", sentence(words), sheet)
+    if len(identities) > IDENTITIES_NAMED:
+        kicker += f" and {len(identities) - IDENTITIES_NAMED} more"
+    flags = [", ".join(_flags(row)) for row in rows]
+    is_whole = len(made.thumbnails) == len(rows)
+    page = SetPage(
+        title=made.title,
+        kicker=kicker,
+        stimuli=len(rows),
+        frames=sum(int(row["frames"]) for row in rows),
+        clipped=sum(float(row["clipped_percent"]) > CLIPPED_PERCENT for row in rows),
+        beyond=sum(bool(row["beyond"]) for row in rows),
+        outliers=sum(bool(row["outlier_in"]) for row in rows),
+        furthest_sd=max(float(row["largest_sd"]) for row in rows),
+        folded_percent=max(float(row["folded_percent"]) for row in rows),
+        notes=made.notes,
+        sheet=[
+            _panel(rows[place], image, made.columns, flags[place])
+            for place, image in sorted(made.thumbnails.items())
+        ],
+        columns=sheet_columns(rows, made.columns) if is_whole else SHEET_COLUMNS,
+        plots=[plot for name in PLOTTED for space in SPACES for plot in _plot(rows, space, name)],
+        statistics=[_statistics(rows, space, name) for space in SPACES for name in FIGURES],
+        flagged=[(str(row["name"]), why) for row, why in zip(rows, flags, strict=True) if why],
+        settings=made.settings,
+    )
+    return render("set.html", page)
 
 
-def sheet_columns(rows: Sequence[Mapping[str, Any]], told: Sequence[str]) -> int:
-    """Give how many pictures a row of the sheet holds, so that what belongs together stands together.
+def sheet_columns(rows: Sequence[Row], columns: Sequence[str]) -> int:
+    """Return how many pictures a row of the sheet holds, so that stimuli that belong together stand together.
 
-    Where the first told column stays the same for so many stimuli, then for as many more and so on (all gains of a
-    frame, all steps of a component), a row holds one such group, or several whole ones.
+    Where the first column keeps its value for so many stimuli, then for as many more and so on (all gains of a frame,
+    all steps of a component), a row holds one such group, or several whole ones.
     """
     runs: list[int] = []
     last = object()
-    for row in rows if told else ():
-        value = row.get(told[0])
+    for row in rows if columns else ():
+        value = row.get(columns[0])
         if value != last:
             runs.append(0)
         runs[-1] += 1
@@ -153,7 +140,18 @@ def sheet_columns(rows: Sequence[Mapping[str, Any]], told: Sequence[str]) -> int
     return size * max(1, SHEET_COLUMNS // size)
 
 
-def _flags(row: Mapping[str, Any]) -> list[str]:
+def _panel(row: Row, image: Image, columns: Sequence[str], flags: str) -> Panel:
+    name = str(row["name"])
+    known = {key: row[key] for key in columns if row.get(key) not in (None, "", name)}
+    values = ", ".join(
+        f"{key} {value:g}" if isinstance(value, float) else f"{key} {value}" for key, value in known.items()
+    )
+    note = f" {values}" if values else ""
+    note += f"; {flags}" if flags else ""
+    return Panel(pictures.photograph(image, name), name, note, "flagged" if flags else "")
+
+
+def _flags(row: Row) -> list[str]:
     flags = []
     if row["beyond"]:
         flags.append(f"beyond in {row['beyond']}")
@@ -166,70 +164,27 @@ def _flags(row: Mapping[str, Any]) -> list[str]:
     return flags
 
 
-def _statistics(rows: Sequence[Mapping[str, Any]]) -> Html:
-    plots = [plot for name in PLOTTED for space in SPACES if (plot := _plot(rows, space, name)) is not None]
-    body = []
-    for space in SPACES:
-        for name in FIGURES:
-            values = _known(rows, f"{space}_{name}")
-            cells = (
-                [f"{function(values):.4g}" for function in (np.min, np.median, np.max, np.std)]
-                if values.size
-                else [DASH] * 4
-            )
-            body.append([text(f"{WORDS[name]}, {SPACE_WORDS[space]}"), *map(text, cells)])
-    told = (
-        "Over the whole picture, from the 8-bit codes of the file; of a video the mean over its frames. Luminance by "
-        "ITU-R BT.709, from 0 to 1; RMS contrast is its standard deviation over its mean; the slope is that of log "
-        "amplitude on log spatial frequency."
+def _statistics(rows: Sequence[Row], space: str, name: str) -> list[str]:
+    values: AnyArray = np.array(
+        [row[f"{space}_{name}"] for row in rows if row.get(f"{space}_{name}") is not None], np.float64
     )
-    return section(
-        "statistics",
-        "Image statistics",
-        sentence(told),
-        element("div", *plots, class_="pair"),
-        table("Over the set.", ("Figure", "lowest", "median", "highest", "SD"), body),
-    )
+    measures = (np.min, np.median, np.max, np.std)
+    cells = [f"{measure(values):.4g}" for measure in measures] if values.size else [DASH] * len(measures)
+    return [f"{WORDS[name]}, {SPACE_WORDS[space]}", *cells]
 
 
-def _plot(rows: Sequence[Mapping[str, Any]], space: str, name: str) -> Html | None:
-    """Draw a figure over the stimuli, those that stand out named; None where no stimulus has it."""
+def _plot(rows: Sequence[Row], space: str, name: str) -> Iterable[Markup]:
+    """Draw a figure over the stimuli that have it, with the names of those that stand out; nothing where none has."""
     column = f"{space}_{name}"
-    places = [place for place, row in enumerate(rows) if row.get(column) is not None]
-    if not places:
-        return None
-    values = [float(rows[place][column]) for place in places]
+    known = [row for row in rows if row.get(column) is not None]
+    if not known:
+        return
+    values = [float(row[column]) for row in known]
     centre = float(np.median(values))
-    out = [at for at, place in enumerate(places) if column in str(rows[place]["outlier_in"]).split()]
+    out = [at for at, row in enumerate(known) if column in str(row["outlier_in"]).split()]
     worst = sorted(out, key=lambda at: -abs(values[at] - centre))[:NAMED_AT_MOST]
-    marks = [Mark(at, str(rows[places[at]]["name"])) for at in worst]
+    marks = [Mark(at, str(known[at]["name"])) for at in worst]
     title = f"{WORDS[name]}, {SPACE_WORDS[space]}"
-    plot = Plot(
-        f"{title} of each stimulus", "stimulus, in the manifest's order", title, LEAST_RANGE[name], SMALL_SIZE
-    )
-    drawn = line_plot(plot, values, level=Mark(0, f"median {centre:.3g}"), level_value=centre, worst=marks)
-    return drawn
-
-
-def _known(rows: Sequence[Mapping[str, Any]], column: str) -> np.ndarray[Any, np.dtype[np.float64]]:
-    return np.array([row[column] for row in rows if row.get(column) is not None], np.float64)
-
-
-def _flagged(rows: Sequence[Mapping[str, Any]]) -> Html:
-    flagged = [(row, _flags(row)) for row in rows]
-    body = [[text(str(row["name"])), text(", ".join(flags))] for row, flags in flagged if flags]
-    if not body:
-        return section(
-            "flagged",
-            "Stimuli to look at",
-            sentence("None: nothing is clipped, folded, beyond or stands out."),
-        )
-    more = f" The first {LISTED_AT_MOST} of {len(body)}." if len(body) > LISTED_AT_MOST else ""
-    caption = f"Clipped, folded, further out than any training face, or unlike the rest of the set.{more}"
-    return section(
-        "flagged", "Stimuli to look at", table(caption, ("Stimulus", "Why"), body[:LISTED_AT_MOST])
-    )
-
-
-def _value(value: object) -> str:
-    return f"{value:g}" if isinstance(value, float) else str(value)
+    words = f"{title} of each stimulus"
+    plot = Plot(words, "stimulus, in the manifest's order", title, PLOTTED[name], SMALL_SIZE)
+    yield line_plot(plot, values, level=(centre, f"median {centre:.3g}"), worst=marks)

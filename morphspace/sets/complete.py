@@ -13,8 +13,8 @@ from morphspace.arrays import AnyArray, Image
 from morphspace.io.images import read_image
 from morphspace.io.tables import write_loadings_table, write_metrics_table
 from morphspace.outcome import RECORD_NAME, Outcome, versions, write_record_of
-from morphspace.report.figures import small
-from morphspace.report.set_page import CLIPPED_PERCENT, FOLDED_PERCENT, SetShown, places_shown, set_page
+from morphspace.report.frames import small
+from morphspace.report.set_page import CLIPPED_PERCENT, FOLDED_PERCENT, StimulusSet, places_shown, set_page
 from morphspace.sets.manifest import Column, write_manifest
 from morphspace.stimuli.drawing import PICTURE_SUFFIXES, VIDEO_SUFFIXES, Drawing
 from morphspace.stimuli.image_statistics import FIGURES, SPACES
@@ -237,16 +237,16 @@ def _write_page(
     rows: Sequence[Mapping[str, Any]],
     request: Mapping[str, Any],
     notes: Sequence[str],
-    told: Sequence[str],
+    columns: Sequence[str],
 ) -> Path:
     """Write index.html: contact sheet, statistics, what stands out."""
     thumbnails = {
         place: _middle(folder / str(rows[place]["file"]), rows[place]) for place in places_shown(len(rows))
     }
     settings = {name: json.dumps(value, ensure_ascii=False) for name, value in request.items()}
-    shown = SetShown(f"Stimuli: {verb}", rows, thumbnails, notes, settings, told)
+    made = StimulusSet(f"Stimuli: {verb}", rows, thumbnails, notes, settings, columns)
     path = folder / PAGE_NAME
-    write_text(path, set_page(shown))
+    write_text(path, set_page(made))
     return path
 
 

@@ -30,7 +30,7 @@ from morphspace.model.model import MorphModel
 from morphspace.model.morph import vector_of
 from morphspace.outcome import versions, write_record
 from morphspace.report import mimic_advice
-from morphspace.report.mimic_page import PAIRS_SHOWN, MimicryShown, mimic_page
+from morphspace.report.mimic_page import PAIRS_SHOWN, MimicryResult, mimic_page
 from morphspace.report.set_page import CLIPPED_PERCENT
 from morphspace.sets.models import check_apart, check_landmarks
 from morphspace.sets.protect import MIMIC_FRAMES, VIDEO_NAME, WORK_FOLDER, remove_unfinished
@@ -355,18 +355,17 @@ def written_mimicry(
     }
     written = [*pictures, video, *write_quality(folder, columns, told)]
     written += _write_loadings(folder / "loadings.csv", loadings_sd, target, source, driver)
-    shown = MimicryShown(
+    result = MimicryResult(
         names=(source.model.identity, target.model.identity, driver.name),
         pairs=pairs,
         loadings_sd=loadings_sd,
         max_sd=asked.max_sd,
-        rate_hz=driver.rate_hz,
         columns=columns,
         notes=notes,
         video=video.name,
         settings=_settings_shown(asked, told, source, target, driver),
     )
-    write_text(page, mimic_page(shown))
+    write_text(page, mimic_page(result))
     written.append(page)
     digests = {"source": source.digest, "target": target.digest, **driver.inputs}
     written.append(write_record(folder, "mimic", settings, digests, written))

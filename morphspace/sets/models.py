@@ -19,7 +19,9 @@ from morphspace.model.landmarks import LEAST_FACES
 from morphspace.model.model import MorphModel, load_model
 from morphspace.model.passes import COMPONENTS, MIN_FRAMES, Build
 from morphspace.outcome import versions
-from morphspace.report import Case, measure_frames, write_report
+from morphspace.report.advice import Case
+from morphspace.report.build_page import write_build_page
+from morphspace.report.frames import measure_frames
 from morphspace.steps import Step, Steps, spread
 from morphspace.storage import digest_of_file, make_folder
 from morphspace.transfer.driver import UsedModel
@@ -47,7 +49,7 @@ def written_model(
     framing = build.model.provenance["framing"]
     width, height = framing["source_size"] if framing["crop"] is None else framing["crop"][2:]
     used = int(width), int(height)
-    write_report(report, build, figures, source_size=used)
+    write_build_page(report, build, figures, source_size=used)
     return WrittenModel(build, Case(build, figures, used), notes)
 
 

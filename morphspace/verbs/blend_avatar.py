@@ -13,6 +13,7 @@ import numpy as np
 
 from morphspace.avatar import Avatar, AvatarSettings, blend_steps
 from morphspace.avatar.build import checked
+from morphspace.avatar.distances import mean_face_distances
 from morphspace.avatar.originals import check_clips
 from morphspace.avatar.settings import AUTO, COMPONENTS, EXPRESSION, EXPRESSIONS, FLAT, MEAN
 from morphspace.cache import work_folder
@@ -25,8 +26,7 @@ from morphspace.model.file import check_content
 from morphspace.model.landmarks import LEAST_FACES
 from morphspace.model.model import MorphModel, load_model
 from morphspace.outcome import Outcome, versions
-from morphspace.report.avatar_distances import mean_face_distances
-from morphspace.report.avatar_page import AvatarShown, ExpressionRow, avatar_page, rows_shown
+from morphspace.report.avatar_page import AvatarResult, ExpressionRow, avatar_page, rows_shown
 from morphspace.sets.protect import check_file
 from morphspace.steps import Step, Steps
 from morphspace.storage import digest_of_file, make_folder, write_text
@@ -183,7 +183,7 @@ def _without_landmarks(
     return (f"{lacks}: run `morphspace keypoints {request.output} --auto`",)
 
 
-def _shown(avatar: Avatar, models: Sequence[MorphModel], request: BlendAvatarRequest) -> Steps[AvatarShown]:
+def _shown(avatar: Avatar, models: Sequence[MorphModel], request: BlendAvatarRequest) -> Steps[AvatarResult]:
     """Gather what the page shows; a generator of steps."""
     used = np.array([one.weights for one in avatar.expressions])
     picked = rows_shown(used, avatar.weights)
@@ -193,7 +193,7 @@ def _shown(avatar: Avatar, models: Sequence[MorphModel], request: BlendAvatarReq
             ExpressionRow(index, avatar.versions(index), avatar.blend(index), avatar.pixel_average(index))
         )
         yield Step("report", len(rows), len(picked))
-    return AvatarShown(
+    return AvatarResult(
         model=avatar.model,
         identities=avatar.identities,
         asked=avatar.weights,

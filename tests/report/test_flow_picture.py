@@ -8,8 +8,15 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from morphspace.flow import Flow
 from morphspace.grid.warp import affine_displacement
-from morphspace.report.flow_colours import BEYOND, colours_of, rim_of, wheel
-from morphspace.report.flow_picture import FOLD_INK, flow_picture, warped_grid
+from morphspace.report.flow_picture import (
+    BEYOND,
+    FOLD_INK,
+    colours_of,
+    flow_picture,
+    rim_of,
+    warped_grid,
+    wheel,
+)
 
 HEIGHT, WIDTH = 30, 24
 RED, YELLOW, GREEN, CYAN, BLUE, MAGENTA = np.eye(3)[0], [1, 1, 0], [0, 1, 0], [0, 1, 1], [0, 0, 1], [1, 0, 1]

@@ -29,8 +29,6 @@ from morphspace.io.video import video_info
 from morphspace.model.from_clip import build_model
 from morphspace.model.model import load_model
 from morphspace.model.morph import Morph
-from morphspace.report.plots import SMALL_SIZE, Plot
-from morphspace.report.traces import trace_plot
 from morphspace.steps import result_of
 from morphspace.storage import digest_of_file
 from morphspace.verbs import measure_mimicry
@@ -459,20 +457,6 @@ def test_the_page_is_complete_and_harmless(work, model):
     assert 'src="side-by-side.mp4"' in page
     for svg in re.findall(r"<svg.*?</svg>", page, re.S):
         ElementTree.fromstring(svg)
-
-
-def test_a_trace_stands_at_its_value():
-    plot = Plot("values", "frame", "SD", 1.0, SMALL_SIZE)
-    drawn = ElementTree.fromstring(re.search(r"<svg.*</svg>", trace_plot(plot, [0, 2], [2, 0, 1]), re.S)[0])
-    lines = {path.get("class"): numbers(path.get("d")) for path in drawn.iter("path")}
-    assert lines["stimulus"][0, 1] == pytest.approx(lines["zero"][0, 1])
-    assert lines["stimulus"][1, 1] == pytest.approx(lines["imitation"][0, 1])
-    assert lines["imitation"][2, 1] == pytest.approx(lines["stimulus"][:, 1].mean(), abs=0.01)
-    assert lines["stimulus"][1, 0] == pytest.approx(lines["imitation"][1, 0])
-
-
-def numbers(path):
-    return np.array([list(map(float, point.split())) for point in path[1:].split("L")])
 
 
 def test_a_table_of_another_model_is_refused_and_says_what_to_do(work, model):

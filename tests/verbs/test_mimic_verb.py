@@ -442,7 +442,7 @@ def test_negative_shares_stand_in_the_file_and_read_as_none_on_the_page(work):
     assert max(table["warp_kept"]) < 0 and max(table["texture_kept"]) < 0
     page = (work / "out" / "index.html").read_text()
     first = page[page.index("<dl") : page.index("</dl>")]
-    assert "<dd>0%</dd>" in first and "-" not in first.split("motion")[0].split("<dd>")[-1]
+    assert "<dd>0 %</dd>" in first and "-" not in first.split("motion")[0].split("<dd>")[-1]
     assert "colour kept" not in page
 
 

@@ -1,0 +1,134 @@
+"""Advice on a build: given only where due, and naming only the fault at hand."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from morphspace.report.advice import Case, advice_for, head_path
+from morphspace.report.build_page import build_page
+
+SIZE = (64, 80)  # of the build's frames, px
+
+
+def rules(found):
+    return {advice.rule for advice in found}
+
+
+def test_clean_build_gets_no_advice(clean):
+    assert advice_for(clean) == ()
+    page = build_page(clean.build, clean.figures)
+    assert "Nothing to mend" in page
+
+
+def test_advice_names_only_the_fault_at_hand(clean):
+    n = len(clean.names)
+    wave = np.sin(np.arange(n))
+    still = clean.build.registrations
+    moved = still.copy()
+    moved[:, 0, 2] = 0.06 * SIZE[0] * wave
+    turned = still.copy()
+    angle = np.radians(7 * wave)
+    turned[:, :, :2] = np.moveaxis([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]], 2, 0)
+    centre = (np.array(SIZE) - 1) / 2
+    turned[:, :, 2] = centre - turned[:, :, :2] @ centre
+    nearer = still.copy()
+    nearer[:, :, :2] *= (1 + 0.07 * wave)[:, None, None]
+    nearer[:, :, 2] = centre - nearer[:, :, :2] @ centre
+    lost = still.copy()
+    lost[5, :, :2] *= 0.5
+    opened = np.where(np.arange(n) % 2, 0.1, 0.0)
+    opened[clean.build.choice.index] = 0
+    one_bad = np.arange(n) == 9
+    build, figures, model = clean.build, clean.figures, clean.build.model
+    cases = {
+        "build": Case(replace(build, warnings=("2 frames are identical to the reference",)), figures),
+        "registration": Case(replace(build, registrations=lost), figures),
+        "exposure": Case(build, replace(figures, exposure_stops=0.2 * wave)),
+        "head_turned": Case(build, replace(figures, rigid_motion_px=np.where(one_bad, 5.0, 0.2))),
+        "mouth_closed": Case(build, replace(figures, mouth_contrast=opened)),
+        "folds": Case(build, replace(figures, fold_fractions=np.where(one_bad, 0.02, 0.0))),
+        "confidence": Case(replace(build, confidences=np.where(one_bad, 0.4, 0.8)), figures),
+        "psnr": Case(build, replace(figures, psnr_db=np.where(one_bad, 25.0, 42.0))),
+        "mask": Case(replace(build, model=replace(model, mask=np.ones_like(model.mask))), figures),
+        "rank": Case(
+            replace(build, model=replace(model, provenance={"identity": "", "components_asked": 50})), figures
+        ),
+        "few_frames": Case(replace(build, model=_of_few_frames(build)), figures),
+        "source_size": Case(build, figures, (2 * SIZE[0], 2 * SIZE[1])),
+    }
+    for rule, case in cases.items():
+        assert rules(advice_for(case)) == {rule}, rule
+    for registrations in (moved, turned, nearer):
+        assert rules(advice_for(Case(replace(build, registrations=registrations), figures))) == {"head_moved"}
+
+
+def test_small_deviations_stay_unmentioned(clean):
+    n = len(clean.names)
+    wave = np.sin(np.arange(n))
+    moved = clean.build.registrations.copy()
+    moved[:, 0, 2] = 0.03 * SIZE[0] * wave
+    figures = replace(
+        clean.figures,
+        exposure_stops=0.1 * wave,
+        fold_fractions=np.full(n, 0.005),
+        psnr_db=38 + wave,
+        mouth_contrast=0.1 + 0.1 * np.cos(np.arange(n) - clean.build.choice.index - 1.5),
+    )
+    build = replace(clean.build, registrations=moved, confidences=np.full(n, 0.55))
+    assert advice_for(Case(build, figures, SIZE)) == ()
+
+
+def test_advice_tells_drift_from_flicker(clean):
+    n = len(clean.names)
+    drift = replace(clean.figures, exposure_stops=np.linspace(0, 1, n))
+    flicker = replace(clean.figures, exposure_stops=np.where(np.arange(n) % 2, 0.5, 0.0))
+    assert "drifts" in advice_for(Case(clean.build, drift))[0].text
+    assert "up and down" in advice_for(Case(clean.build, flicker))[0].text
+
+
+def test_advice_proposes_slightly_open_frames(clean):
+    dark = np.full(len(clean.names), 0.1)
+    dark[:12] = 0.0
+    reference, fitting = clean.build.choice.index, 3
+    dark[reference] = 0.0
+    if reference == fitting:
+        fitting = 4
+    dark[fitting] = 0.03
+    (advice,) = advice_for(Case(clean.build, replace(clean.figures, mouth_contrast=dark)))
+    assert f"Frames to try: {clean.names[fitting]}." in advice.text
+
+
+def test_many_poor_frames_blame_the_model(clean):
+    (advice,) = advice_for(Case(clean.build, replace(clean.figures, psnr_db=np.full(len(clean.names), 25.0))))
+    assert "more components" in advice.text
+
+
+def test_mask_without_texture_is_told(clean):
+    model = clean.build.model
+    flat = replace(model.mean, texture=np.full_like(model.mean.texture, 0.5))
+    tiny = np.zeros_like(model.mask)
+    tiny[:4, :4] = 1
+    for changed, word in ((replace(model, mean=flat), "texture"), (replace(model, mask=tiny), "closer")):
+        (advice,) = advice_for(Case(replace(clean.build, model=changed), clean.figures))
+        assert advice.rule == "mask"
+        assert word in advice.text
+
+
+def _of_few_frames(build):
+    training = build.model.training
+    return replace(
+        build.model,
+        training=replace(training, values=training.values[:9], frame_names=training.frame_names[:9]),
+    )
+
+
+def test_head_path_undoes_a_known_movement():
+    angle, scale, shift = np.radians(5), 1.1, np.array([3.0, -2.0])
+    centre = (np.array(SIZE) - 1) / 2
+    linear = scale * np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
+    affine = np.column_stack([linear, centre + shift - linear @ centre])
+    path = head_path(affine[None], SIZE)
+    np.testing.assert_allclose(path.shift_px[0], shift, atol=1e-12)
+    assert path.turn_deg[0] == pytest.approx(5)
+    assert path.scale[0] == pytest.approx(1.1)
