@@ -10,14 +10,18 @@ and does not buy that by folding.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import partial
 from typing import Literal, get_args
 
 import cv2
 import numpy as np
 
 from morphspace.arrays import AnyArray, Displacement, Image, Mask, Points
-from morphspace.errors import BadInput
-from morphspace.flow import Flow, FlowFunction
+from morphspace.errors import BadInput, MorphspaceError
+from morphspace.flow import Flow, FlowFunction, FlowMethod
+from morphspace.flow.baselines import LUMA
+from morphspace.flow.pairs import is_featureless, unknown_flow
 from morphspace.grid import warp
 
 StartKind = Literal["auto", "none"]
@@ -34,6 +38,7 @@ SPLINE_NEAR_PX = 8  # each way from a landmark it bends too sharply for that, an
 SPLINE_MARGIN = 8  # such points beyond each edge: there the interpolation's end effects die away
 ONE_LANDMARK_PX = 1.0  # landmarks in one cell of this size are one: closed lips are marked twice at a place
 LEAST_LANDMARK_SPREAD_PX = 1.0  # root mean square across their best line; below it they lie on the line
+INVERSION_STEPS = 8  # of the fixed point that turns a start round; an estimator mends what they leave
 
 
 def check_start(start: str) -> None:
@@ -185,3 +190,82 @@ def easier_neighbour(errors: AnyArray, index: int) -> int:
     """Give the neighbour in time of frame `index`, of errors (n,) with n >= 2, that has the smaller error."""
     near = [other for other in (index - 1, index + 1) if 0 <= other < len(errors)]
     return min(near, key=lambda other: float(errors[other]))
+
+
+@dataclass(frozen=True, eq=False)
+class Pair:
+    """The two pictures of a request, (h, w, 3) each, what there is to start from, and notes on them.
+
+    `start` is a field on A's grid, `landmarks` are the same points in both, (m, 2) px each; None where not given.
+    """
+
+    reference: Image
+    frame: Image
+    start: Displacement | None = None
+    landmarks: tuple[Points, Points] | None = None
+    notes: tuple[str, ...] = ()
+
+    def turned(self) -> Pair:
+        """Give the pair for the way back, from B to A."""
+        start = None if self.start is None else turned_round(self.start)
+        landmarks = None if self.landmarks is None else self.landmarks[::-1]
+        return Pair(self.frame, self.reference, start, landmarks)
+
+
+def as_grey(image: Image) -> Image:
+    """Give the luma of an image (h, w, 3) in all three channels."""
+    return np.repeat((image @ LUMA)[..., None], 3, axis=2)
+
+
+def flow_between(
+    method: FlowMethod, reference: Image, frame: Image, start: Displacement | None = None
+) -> Flow:
+    """Give the flow between two checked pictures; zero with zero confidence where one of them shows nothing.
+
+    Raises `BadInput` where OpenCV's estimators cannot work on pictures of this size, and `MorphspaceError` where a
+    method gives values that are not finite, which is a fault of ours.
+    """
+    height, width = reference.shape[:2]
+    if is_featureless(reference) or is_featureless(frame):
+        return unknown_flow(height, width)
+    try:
+        flow = method(reference)(frame, start)
+    except cv2.error as error:
+        raise BadInput(
+            f"this preset cannot work on pictures of {width}x{height} px ({error.err}): choose another"
+        ) from error
+    if not (np.isfinite(flow.displacement).all() and np.isfinite(flow.confidence).all()):
+        raise MorphspaceError(
+            "the flow holds values that are not finite: try another preset, and report the pictures"
+        )
+    return flow
+
+
+def flow_from_best(method: FlowMethod, pair: Pair) -> tuple[str, Flow]:
+    """Give the flow of a pair from the best start there is, and which that was: none, start or landmarks."""
+    starts = {"none" if pair.start is None else "start": pair.start}
+    if pair.landmarks is not None:
+        height, width = pair.reference.shape[:2]
+        spline = landmark_spline(*pair.landmarks, height, width)
+        furthest_px = float(np.abs(spline).max())
+        if furthest_px > height + width:
+            raise BadInput(
+                f"the landmarks move a point of a picture of {width}x{height} px by {furthest_px:.3g} px: mark the "
+                "same points in both, in one order"
+            )
+        starts["landmarks"] = spline
+    to_frame = method(pair.reference)
+    return best_start(
+        partial(flow_between, lambda _: to_frame, pair.reference), pair.reference, pair.frame, starts
+    )
+
+
+def turned_round(displacement: Displacement) -> Displacement:
+    """Give about the inverse of a field (h, w, 2) by the fixed point v(q) = -u(q + v(q)): a start, not a result.
+
+    Cheap, and finite where the field folds; `warp.invert` is exact, but a wild field would cost it all memory.
+    """
+    back = np.zeros_like(displacement)
+    for _ in range(INVERSION_STEPS):
+        back = -warp.sample_field(displacement, back)
+    return back

@@ -25,7 +25,7 @@ from morphspace.cli.main import main
 from morphspace.errors import BadInput, SizeMismatch, UnwritableFile
 from morphspace.flow import Flow, methods, names
 from morphspace.flow.pairs import MIN_SIDE_PX, checked_pair, checked_picture, is_featureless, is_grey
-from morphspace.flow.starts import WITHOUT_START, StartKind
+from morphspace.flow.starts import WITHOUT_START, StartKind, flow_between, turned_round
 from morphspace.grid import warp
 from morphspace.io import flow_fields
 from morphspace.io.flow_fields import read_flow, write_flow
@@ -35,7 +35,6 @@ from morphspace.linear.quality import forward_backward_px, stays_inside
 from morphspace.storage import digest_of_file, whole_file
 from morphspace.verbs import flow as flow_verb
 from morphspace.verbs.build_model import BuildModelRequest
-from morphspace.verbs.flow_pair import flow_between, turned_round
 
 ROOT = Path(__file__).resolve().parents[2]
 HEIGHT, WIDTH = 48, 64

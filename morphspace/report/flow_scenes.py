@@ -1,0 +1,118 @@
+"""How far estimators are from the true flow of scenes: the table that every paper on flow prints."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from morphspace.arrays import Displacement, Image
+from morphspace.errors import BadInput, SizeMismatch
+from morphspace.flow import methods
+from morphspace.flow.names import DEFAULT_BACKEND
+from morphspace.flow.pairs import checked_pair
+from morphspace.flow.starts import flow_between
+from morphspace.io.flow_fields import UNKNOWN_PX, read_flow
+from morphspace.io.images import read_image
+from morphspace.io.scenes import Scene, find_scenes
+from morphspace.io.tables import write_metrics_table
+from morphspace.linear.quality import flow_errors, known_flow
+from morphspace.outcome import RECORD_NAME, Outcome, write_record
+from morphspace.sets.protect import check_file
+from morphspace.steps import Step, Steps
+from morphspace.storage import digest_of_file, make_folder
+
+WARM_UP_PX = 64  # a side; what a method loads on its first call is not its time
+MEAN = "mean"  # the scene of a preset's last row
+FIGURE_COLUMNS = ("aee_px", "aae_deg", "r1_percent", "time_s")
+
+
+def measured_scenes(
+    folder: Path,
+    presets: tuple[str, ...] = (methods.DEFAULT,),
+    output: Path | None = None,
+    backend: str = DEFAULT_BACKEND,
+) -> Steps[Outcome]:
+    """Measure presets on the scenes of a folder whose true flow is known; `output` (.csv) keeps the table.
+
+    Returns an `Outcome` with the table; time is wall-clock time.
+    """
+    chosen = {preset: methods.named(preset, backend) for preset in presets}
+    scenes, bare = find_scenes(folder)
+    if output is not None:
+        kept = [path for scene in scenes for path in _files(scene).values()]
+        check_file(output, ".csv", kept)
+        make_folder(output.parent)
+    rows: list[dict[str, Any]] = []
+    for scene in scenes:
+        reference, frame, truth = read_scene(scene)
+        for preset, method in chosen.items():
+            yield Step("flow", len(rows), len(scenes) * len(chosen))
+            try:
+                flow_between(method, reference[:WARM_UP_PX, :WARM_UP_PX], frame[:WARM_UP_PX, :WARM_UP_PX])
+                began_s = time.perf_counter()
+                flow = flow_between(method, reference, frame)
+            except BadInput as error:
+                raise BadInput(f"scene {scene.name}, preset {preset}: {error}") from error
+            time_s = time.perf_counter() - began_s
+            errors = asdict(flow_errors(flow.displacement, truth))
+            rows.append({"preset": preset, "scene": scene.name, **errors, "time_s": time_s})
+    table = [row for preset in chosen for row in with_mean([row for row in rows if row["preset"] == preset])]
+    notes = (f"passed over, without a truth: {', '.join(bare)}",) if bare else ()
+    written: tuple[Path, ...] = ()
+    if output is not None:
+        write_metrics_table(output, {name: [row[name] for row in table] for name in table[0]})
+        inputs = {name: digest_of_file(path) for scene in scenes for name, path in _files(scene).items()}
+        settings = {
+            "presets": list(chosen),
+            "backend": backend,
+            "scenes": [scene.name for scene in scenes],
+        }
+        name = f"{output.name}.{RECORD_NAME}"
+        written = (output, write_record(output.parent, "flow", settings, inputs, [output], name))
+    return Outcome(table_lines(table), {"table": table}, notes, written)
+
+
+def read_scene(scene: Scene) -> tuple[Image, Image, Displacement]:
+    """Give the pictures of a scene and its true flow, unknown where a component is beyond the mark.
+
+    Raises `BadInput` where they do not belong together or nothing is known.
+    """
+    names = (str(scene.reference), str(scene.frame))
+    reference, frame = checked_pair(read_image(scene.reference), read_image(scene.frame), names)
+    stored = read_flow(scene.truth)
+    truth = np.where(stored.known[..., None], stored.displacement, np.float32(UNKNOWN_PX))
+    if truth.shape[:2] != reference.shape[:2]:
+        raise SizeMismatch(
+            f"{scene.truth} has {truth.shape[1]}x{truth.shape[0]} px, {scene.reference} has "
+            f"{reference.shape[1]}x{reference.shape[0]}: they are not of one scene"
+        )
+    if not known_flow(truth).any():
+        raise BadInput(f"{scene.truth} knows the flow of no pixel: nothing can be measured on this scene")
+    return reference, frame, truth
+
+
+def with_mean(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
+    """Give the rows of one preset and their mean over the scenes, each scene counting the same."""
+    mean = {name: float(np.mean([row[name] for row in rows])) for name in FIGURE_COLUMNS}
+    return [*rows, {"preset": rows[0]["preset"], "scene": MEAN, **mean}]
+
+
+def table_lines(table: list[dict[str, Any]]) -> tuple[str, ...]:
+    """Give the table as lines of text, columns aligned."""
+    presets = max(len("preset"), *(len(row["preset"]) for row in table))
+    scenes = max(len("scene"), *(len(row["scene"]) for row in table))
+    head = f"{'preset':<{presets}}  {'scene':<{scenes}}   AEE px  AAE deg   R1.0 %   time s"
+    rows = [
+        f"{row['preset']:<{presets}}  {row['scene']:<{scenes}}  {row['aee_px']:7.3f}  {row['aae_deg']:7.2f}  "
+        f"{row['r1_percent']:7.2f}  {row['time_s']:7.2f}"
+        for row in table
+    ]
+    return (head, *rows)
+
+
+def _files(scene: Scene) -> dict[str, Path]:
+    return {f"{scene.name}/{path.name}": path for path in (scene.reference, scene.frame, scene.truth)}
