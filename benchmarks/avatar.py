@@ -22,7 +22,7 @@ from tables import at_least, at_most, print_table, tell
 from morphspace.arrays import AnyArray, Image, Mask
 from morphspace.avatar import Avatar, AvatarSettings, blend_steps
 from morphspace.face.detector import load_detector
-from morphspace.face.faceframe import mouth_region, rigid_region
+from morphspace.face.regions import mouth_surroundings, rigid_region
 from morphspace.face.registration import fitted_similarity
 from morphspace.flow.baselines import LUMA
 from morphspace.grid.warp import apply_affine
@@ -367,7 +367,9 @@ def _read(
 def _sharpness(image: Image, blend: Avatar) -> tuple[float, float]:
     """Give the variance, in 1e-3, of an aligned face in the region all share, and nearer the middle of it."""
     height, width = blend.model.mask.shape
-    inner = np.maximum(*(part(height, width, blend.model.faceframe) for part in (rigid_region, mouth_region)))
+    inner = np.maximum(
+        *(part(height, width, blend.model.faceframe) for part in (rigid_region, mouth_surroundings))
+    )
     region = blend.studio.mixer(0).judged_picture
     return 1e3 * laplacian_variance(image, region), 1e3 * laplacian_variance(image, inner)
 

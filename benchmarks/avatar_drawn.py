@@ -12,7 +12,8 @@ from tables import at_most, print_table, tell
 
 from morphspace.arrays import AnyArray, Displacement, Image, Mask, Points
 from morphspace.avatar import Avatar, AvatarSettings, blend_steps
-from morphspace.face.faceframe import FaceFrame, face_mask
+from morphspace.face.faceframe import FaceFrame
+from morphspace.face.regions import face_mask
 from morphspace.face.registration import fitted_similarity
 from morphspace.flow.baselines import LUMA
 from morphspace.flow.methods import named

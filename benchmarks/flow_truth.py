@@ -17,7 +17,8 @@ from clips import clip_frames
 
 from morphspace.arrays import Image, Mask, Points
 from morphspace.errors import BadInput
-from morphspace.face.faceframe import aligned, face_mask, rigid_region
+from morphspace.face.faceframe import aligned
+from morphspace.face.regions import face_mask, rigid_region
 from morphspace.face.registration import register
 from morphspace.io.flow_fields import read_flow
 from morphspace.io.images import read_image

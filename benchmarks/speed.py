@@ -16,7 +16,7 @@ from memory import child
 from tables import at_most, interleaved, milliseconds, print_table, ratio
 
 from morphspace.arrays import AnyArray, Displacement, Mask
-from morphspace.face.faceframe import face_mask
+from morphspace.face.regions import face_mask
 from morphspace.grid import warp
 from morphspace.io.colour import codes_of
 from morphspace.linear.pca import Basis, fit_basis

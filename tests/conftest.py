@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
-from morphspace.face.faceframe import face_mask
+from morphspace.face.regions import face_mask
 from morphspace.grid import warp
 from morphspace.linear.pca import fit_basis
 from morphspace.linear.rows import RowArray

@@ -22,12 +22,11 @@ from morphspace.avatar.common_grid import Laid, placed, shortened
 from morphspace.avatar.versions import Version, believed
 from morphspace.avatar.visible import disc, filled
 from morphspace.face.anchor import CHEEKS_AND_CHIN, spline_from
-from morphspace.face.mesh import LIPS, PHILTRUM, POINT_COUNT, RIGID_POINTS
+from morphspace.face.mesh import LANDMARKS, LIPS, PHILTRUM, POINT_COUNT, RIGID_POINTS
 from morphspace.flow import methods
 from morphspace.flow.folds import unfolded
 from morphspace.grid import warp
 from morphspace.model.keypoints import landmarks_of
-from morphspace.model.landmarks import LANDMARKS
 from morphspace.model.model import MorphModel
 
 AROUND_LIPS = 0.03  # of the width: how far around the lips an expression has its own correspondence

@@ -15,8 +15,9 @@ import numpy as np
 
 from morphspace.arrays import AnyArray, LoadingVector
 from morphspace.avatar.originals import Originals
+from morphspace.face.mesh import landmark_places
 from morphspace.model.keypoints import affine_between_models, required_faceframe
-from morphspace.model.landmarks import LandmarkRegression, landmark_places
+from morphspace.model.landmarks import LandmarkRegression
 from morphspace.model.model import MorphModel
 from morphspace.model.morph import Morph, MorphOffset
 from morphspace.transfer.mimicry import WITH_REST, Method, Mimicry, auto_gain, mimic, offset_of

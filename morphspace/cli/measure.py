@@ -66,10 +66,10 @@ OPTIONS = (
     ),
     click.option(
         "--region",
-        type=click.Choice(["whole", "eyes", "mouth"]),
+        metavar="NAME",
         default="whole",
         show_default=True,
-        help="Measure a part of the face by its name.",
+        help="Measure a part of the face: eyes, brows, mouth, nose, upper, lower, several joined by +.",
     ),
 )
 """In the order of the help."""

@@ -7,6 +7,7 @@ the subject's right, which is the image's left.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -37,6 +38,16 @@ FACE_OUTLINE = (
     *(10, 338, 297, 332, 284, 251, 389, 356, 454, 323, 361, 288, 397, 365, 379, 378, 400, 377, 152),
     *(148, 176, 149, 150, 136, 172, 58, 132, 93, 234, 127, 162, 21, 54, 103, 67, 109),
 )
+GROUPS: Mapping[str, tuple[int, ...]] = {
+    "lids": RIGHT_LIDS + LEFT_LIDS,
+    "brows": RIGHT_BROW + LEFT_BROW,
+    "outer lips": OUTER_LIPS,
+    "inner lips": INNER_LIPS,
+    "outline": FACE_OUTLINE,
+}
+"""The landmarks, by what they mark: places in the mesh of what moves with expression, and of the face's rim."""
+LANDMARKS: tuple[int, ...] = tuple(place for places in GROUPS.values() for place in places)
+"""All landmarks, group after group."""
 # What moves with the skull: corners of the eyes, root, ridge and base of the nose; no brow, lid, cheek, lip or jaw.
 RIGID_POINTS = (33, 133, 362, 263, 168, 6, 197, 195, 5, 4, 1, 2, 98, 327)
 PHILTRUM = 164
@@ -145,3 +156,13 @@ class FacePoints:
     def _need_scheme(self) -> None:
         if self.scheme != SCHEME:
             raise BadInput(f"these face points are {self.scheme}, {SCHEME} is needed: detect them anew")
+
+
+def landmark_places(group: str) -> slice:
+    """Return which of the m landmarks belong to a group. Raises `BadInput` for a name that is none of `GROUPS`."""
+    start = 0
+    for name, places in GROUPS.items():
+        if name == group:
+            return slice(start, start + len(places))
+        start += len(places)
+    raise BadInput(f"there are no landmarks called {group!r}: choose one of {', '.join(GROUPS)}")

@@ -8,13 +8,13 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 
 from morphspace.arrays import AnyArray, Image, LoadingTable, LoadingVector, Mask
 from morphspace.errors import BadInput, ReferenceMismatch
-from morphspace.face.faceframe import mouth_region, rigid_region
+from morphspace.face.regions import WHOLE
 from morphspace.imitation import MaskedBasis, masked_basis
 from morphspace.imitation.imitator import Imitator
 from morphspace.imitation.shape import LEAST_FRAMES, resampled
@@ -22,19 +22,18 @@ from morphspace.io.framing import FramedClip
 from morphspace.io.images import read_mask
 from morphspace.io.tables import read_loadings_table
 from morphspace.model.encode import STRANGE, encoded_frames, energy_outside, framed_for, notes_on_enlarging
+from morphspace.model.keypoints import region_of
 from morphspace.model.model import MorphModel, inner_product
 from morphspace.model.morph import vector_of
 from morphspace.steps import Step, Steps, in_order
 from morphspace.stimuli.table_checks import check_reach
 from morphspace.storage import digest_of_file
 
-Region = Literal["whole", "eyes", "mouth"]
 NAMED_BY_VERBS = (
     "loadings",
     "stimulus",
     "imitation",
 )  # tables as mimic, reconstruct and measure-mimicry call them
-EYES_DOWN_TO = (0.53, 0.45)  # share of the frame's height; of eye-to-philtrum, where there is a faceframe
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,13 +62,13 @@ class Motion:
         return self.outside is not None and self.outside > STRANGE
 
 
-def share_of(model: MorphModel, mask: Path | None, region: Region) -> Mask | None:
+def share_of(model: MorphModel, mask: Path | None, region: str) -> Mask | None:
     """Give how much each point of the mean face counts, (h, w) in [0, 1], by the mask's file or the region.
 
     None where all of the face is measured. Raises `BadInput` for a mask of another size.
     """
     if mask is None:
-        return None if region == "whole" else region_mask(model, region)
+        return None if region == WHOLE else region_of(model, region)
     share = read_mask(mask)
     if share.shape != model.mask.shape:
         raise BadInput(
@@ -82,29 +81,6 @@ def share_of(model: MorphModel, mask: Path | None, region: Region) -> Mask | Non
 def part_of(model: MorphModel, share: Mask | None) -> MaskedBasis | None:
     """Give the basis seen through a part of the face; None where all of it is measured."""
     return None if share is None else masked_basis(model.basis, inner_product(share, 1.0))
-
-
-def region_mask(model: MorphModel, region: Region) -> Mask:
-    """Give where a named part lies on the mean face, (h, w) in [0, 1]: by the faceframe, else where faces stand.
-
-    `eyes` is the rigid part down to beneath the eyes, brows included; `mouth` that of `faces.mouth_region`.
-    """
-    height, width = model.mask.shape
-    if region == "whole":
-        return np.ones((height, width), np.float32)
-    if region == "mouth":
-        return mouth_region(height, width, model.faceframe)
-    y, x = np.mgrid[:height, :width].astype(np.float64)
-    down, limit = y / height, EYES_DOWN_TO[0]
-    if model.faceframe is not None:
-        right, left, lip = model.faceframe.points
-        eyes = (right + left) / 2
-        axis = lip - eyes
-        down = ((x - eyes[0]) * axis[0] + (y - eyes[1]) * axis[1]) / (axis @ axis)
-        limit = EYES_DOWN_TO[1]
-    above = np.clip((limit - down) / 0.05 + 0.5, 0, 1)  # a soft edge, as the ellipse has
-    eyes_only: Mask = (rigid_region(height, width, model.faceframe) * above).astype(np.float32)
-    return eyes_only
 
 
 def opened(

@@ -12,7 +12,7 @@ import numpy as np
 from morphspace.arrays import AnyArray
 from morphspace.errors import ModelFileError, UnreadableFile
 from morphspace.face.faceframe import REGISTRATION_KINDS
-from morphspace.model.landmarks import LANDMARKS
+from morphspace.face.mesh import LANDMARKS
 from morphspace.storage import digest_of_array, digest_of_json, read_container
 
 FORMAT = "morphspace-model"

@@ -13,11 +13,12 @@ from typing import Any, Literal, TypeAlias
 
 import numpy as np
 
-from morphspace.arrays import Affine, AnyArray, Displacement, Points
+from morphspace.arrays import Affine, AnyArray, Displacement, Mask, Points
 from morphspace.errors import BadInput
 from morphspace.face.detector import Detector
 from morphspace.face.faceframe import FaceFrame
 from morphspace.face.mesh import POINT_COUNT
+from morphspace.face.regions import region_mask
 from morphspace.grid import warp
 from morphspace.io.framing import Framing
 from morphspace.model.landmarks import LEAST_FACES, LandmarkRegression, learn_landmarks
@@ -189,6 +190,12 @@ def how_to_learn(model: MorphModel, name: str) -> str:
             "larger frames that show the whole face"
         )
     return f"run `morphspace keypoints {name} --auto`"
+
+
+def region_of(model: MorphModel, name: str) -> Mask:
+    """Return the mask (h, w) of a named part of a model's mean face. Raises as `face.regions.region_mask`."""
+    landmarks = None if model.landmarks is None else model.landmarks.mean
+    return region_mask(name, model.size[1], model.size[0], model.faceframe, landmarks)
 
 
 def lip_of(model: MorphModel) -> Lip:

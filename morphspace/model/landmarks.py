@@ -10,7 +10,6 @@ section 7.10) and is kept: it says how far a landmark can be trusted.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -18,27 +17,8 @@ import numpy as np
 
 from morphspace.arrays import AnyArray, LoadingTable, LoadingVector, Points
 from morphspace.errors import BadInput
-from morphspace.face.mesh import (
-    FACE_OUTLINE,
-    INNER_LIPS,
-    LEFT_BROW,
-    LEFT_LIDS,
-    OUTER_LIPS,
-    POINT_COUNT,
-    RIGHT_BROW,
-    RIGHT_LIDS,
-    SCHEME,
-)
+from morphspace.face.mesh import GROUPS, LANDMARKS, POINT_COUNT, SCHEME
 
-GROUPS: Mapping[str, tuple[int, ...]] = {
-    "lids": RIGHT_LIDS + LEFT_LIDS,
-    "brows": RIGHT_BROW + LEFT_BROW,
-    "outer lips": OUTER_LIPS,
-    "inner lips": INNER_LIPS,
-    "outline": FACE_OUTLINE,
-}
-"""Places in the detector's mesh of the landmarks that are regressed, by what they mark."""
-LANDMARKS: tuple[int, ...] = tuple(place for places in GROUPS.values() for place in places)
 RIDGES = (0.3, 1.0, 3.0, 10.0, 30.0, 100.0, 300.0)  # on loadings in SD: a prior of n faces
 LEAST_FACES = 8  # to learn from
 
@@ -94,16 +74,6 @@ class LandmarkRegression:
             "toward": "warp" if self.follows_warp else "mean",
             "error_px": self.errors(),
         }
-
-
-def landmark_places(group: str) -> slice:
-    """Give which of the m landmarks belong to a group of `GROUPS`."""
-    start = 0
-    for name, places in GROUPS.items():
-        if name == group:
-            return slice(start, start + len(places))
-        start += len(places)
-    raise BadInput(f"there are no landmarks called {group!r}: choose one of {', '.join(GROUPS)}")
 
 
 def ring_gaps(ring: AnyArray) -> AnyArray:

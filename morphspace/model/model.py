@@ -17,8 +17,9 @@ import numpy as np
 from morphspace.arrays import Affine, AnyArray, Displacement, Image, LoadingTable, LoadingVector, Mask
 from morphspace.errors import BadInput, ReferenceMismatch
 from morphspace.face.anchor import FaceAnchor, anchor_of_build, was_anchored
-from morphspace.face.faceframe import FaceFrame, Frame, RegistrationKind, aligned, rigid_region
+from morphspace.face.faceframe import FaceFrame, Frame, RegistrationKind, aligned
 from morphspace.face.mesh import FacePoints
+from morphspace.face.regions import rigid_region
 from morphspace.face.registration import Registration
 from morphspace.flow import FlowFunction, methods
 from morphspace.grid import warp

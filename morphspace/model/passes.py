@@ -23,16 +23,10 @@ from morphspace.face import regions
 from morphspace.face.anchor import FaceAnchor, rigid_movement
 from morphspace.face.detector import Detector
 from morphspace.face.expression import far_from_rest, mouth_gap
-from morphspace.face.faceframe import (
-    FaceFrame,
-    Frame,
-    RegistrationKind,
-    face_mask,
-    mouth_region,
-    rigid_region,
-)
+from morphspace.face.faceframe import FaceFrame, Frame, RegistrationKind
 from morphspace.face.mesh import FacePoints
 from morphspace.face.points_in_clip import points_steps
+from morphspace.face.regions import face_mask, mouth_surroundings, rigid_region
 from morphspace.flow import Flow, methods, starts
 from morphspace.flow.starts import StartKind
 from morphspace.grid import warp
@@ -260,7 +254,7 @@ def _choose_reference(
     mask: Mask = np.zeros((0, 0), np.float32)
     for _, image in same_size(source, indices):
         height, width = image.shape[:2]
-        contrasts.append(mouth_contrast(image, mouth_region(height, width, settings.faceframe)))
+        contrasts.append(mouth_contrast(image, mouth_surroundings(height, width, settings.faceframe)))
         little, mask = shrunk(image, face_mask(height, width, settings.faceframe))
         small.append(little)
     looked_at = [found[index] if settings.anchored else None for index in indices]

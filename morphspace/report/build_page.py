@@ -11,7 +11,7 @@ import numpy as np
 from markupsafe import Markup
 
 from morphspace.arrays import AnyArray
-from morphspace.face.faceframe import mouth_region, rigid_region
+from morphspace.face.regions import mouth_surroundings, rigid_region
 from morphspace.model.model import MorphModel
 from morphspace.model.passes import Build
 from morphspace.report import pictures
@@ -203,7 +203,7 @@ def _marked(model: MorphModel, mean: AnyArray) -> Markup:
     height, width = model.mask.shape
     lines = pictures.outlines(model.mask, "halo") + pictures.outlines(model.mask, "mask")
     lines += pictures.outlines(rigid_region(height, width, model.faceframe), "rigid")
-    lines += pictures.outlines(mouth_region(height, width, model.faceframe), "mouth")
+    lines += pictures.outlines(mouth_surroundings(height, width, model.faceframe), "mouth")
     if model.faceframe is not None:
         for x, y in model.faceframe.points.tolist():
             lines += markup('<circle cx="{x}" cy="{y}" r="2.2"/>', x=f"{x:.1f}", y=f"{y:.1f}")

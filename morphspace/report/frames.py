@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 
 from morphspace.arrays import AnyArray, Displacement, Image, Mask
-from morphspace.face.faceframe import mouth_region, rigid_region
+from morphspace.face.regions import mouth_surroundings, rigid_region
 from morphspace.flow.baselines import LUMA
 from morphspace.grid import warp
 from morphspace.io.colour import linear_of_srgb
@@ -113,7 +113,9 @@ class _Regions:
         self.rigid_box = _box_of(rigid_on_mean)
         self.rigid_on_mean = rigid_on_mean[self.rigid_box]
         self.rigid = np.flatnonzero((rigid > 0.5).reshape(-1))
-        self.mouth = np.flatnonzero(mouth_region(height, width, model.reference_faceframe).reshape(-1) > 0.5)
+        self.mouth = np.flatnonzero(
+            mouth_surroundings(height, width, model.reference_faceframe).reshape(-1) > 0.5
+        )
         self.reference_light = self._rigid_light(model.reference)
 
     def psnr_db(self, image: Image, truth: Image) -> float:

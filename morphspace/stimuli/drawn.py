@@ -8,11 +8,11 @@ import numpy as np
 
 from morphspace.arrays import AnyArray, Image, LoadingVector, Mask
 from morphspace.errors import BadInput
+from morphspace.model.keypoints import region_of
 from morphspace.model.model import MorphModel
 from morphspace.model.morph import Morph
 from morphspace.steps import in_order
 from morphspace.stimuli.drawing import Drawing
-from morphspace.stimuli.regions import region_mask
 
 
 def draw(model: MorphModel, drawing: Drawing, originals: Iterable[Image] | None = None) -> Iterator[Image]:
@@ -55,7 +55,7 @@ def mask_of(model: MorphModel, drawing: Drawing) -> Mask | None:
     """Give the mask (h, w) of a drawing's region on the mean face, None where the whole face is drawn."""
     if drawing.region is None:
         return None
-    mask = region_mask(model, drawing.region) if drawing.region_mask is None else drawing.region_mask
+    mask = region_of(model, drawing.region) if drawing.region_mask is None else drawing.region_mask
     if mask.shape != model.mask.shape:
         raise BadInput(
             f"the region {drawing.region} is {mask.shape[1]}x{mask.shape[0]}, the model's frames are "

@@ -22,7 +22,7 @@ import numpy as np
 
 from morphspace.arrays import Affine, AnyArray, Displacement, LoadingVector, Mask
 from morphspace.errors import BadInput
-from morphspace.face.mesh import LEFT_BROW, LEFT_LIDS, LIPS, RIGHT_BROW, RIGHT_LIDS
+from morphspace.face.mesh import LEFT_BROW, LEFT_LIDS, LIPS, RIGHT_BROW, RIGHT_LIDS, landmark_places
 from morphspace.grid import warp
 from morphspace.model.keypoints import (
     affine_between_models,
@@ -30,7 +30,6 @@ from morphspace.model.keypoints import (
     required_faceframe,
     required_landmarks,
 )
-from morphspace.model.landmarks import landmark_places
 from morphspace.model.model import MorphModel
 from morphspace.model.morph import Morph, MorphOffset, parts_of, vector_of
 from morphspace.steps import spread

@@ -13,8 +13,9 @@ from typing import Protocol
 import numpy as np
 
 from morphspace.arrays import AnyArray, LoadingVector
+from morphspace.face.mesh import landmark_places
 from morphspace.model.keypoints import affine_between_models, required_faceframe
-from morphspace.model.landmarks import landmark_places, ring_gaps
+from morphspace.model.landmarks import ring_gaps
 from morphspace.model.model import MorphModel
 from morphspace.model.morph import MorphOffset, vector_of
 from morphspace.transfer.mimicry import FEATURE_WEIGHT, Mimicry, Passage, feature_weights

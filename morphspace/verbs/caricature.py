@@ -11,7 +11,9 @@ import numpy as np
 
 from morphspace.arrays import LoadingTable, Mask
 from morphspace.errors import BadInput
+from morphspace.face.regions import WHOLE
 from morphspace.io.images import read_mask
+from morphspace.model.keypoints import region_of
 from morphspace.model.model import MorphModel, load_model
 from morphspace.outcome import Outcome
 from morphspace.requests import ClipText
@@ -20,7 +22,6 @@ from morphspace.sets.sources import Faces, faces_of
 from morphspace.steps import Steps
 from morphspace.stimuli.caricature import caricatured, components_named
 from morphspace.stimuli.drawing import VIDEO_SUFFIXES, Drawing
-from morphspace.stimuli.regions import WHOLE, region_mask
 from morphspace.storage import digest_of_file
 
 PICTURE_SUFFIXES = (".png", ".tif", ".tiff", ".jpg", ".jpeg", ".exr", ".bmp")  # of a region that was painted
@@ -139,7 +140,7 @@ def _region(region: str | None, model: MorphModel) -> tuple[Mask | None, dict[st
         return None, {}
     path = Path(region)
     if path.suffix.lower() not in PICTURE_SUFFIXES:
-        region_mask(model, region)  # refuses names that are none, and models that do not know where
+        region_of(model, region)  # refuses names that are none, and models that do not know where
         return None, {}
     mask = read_mask(path)
     if mask.shape != model.mask.shape:

@@ -14,7 +14,7 @@ from morphspace.arrays import Image, Points
 from morphspace.errors import BadInput
 from morphspace.face.detector import Detector, load_detector
 from morphspace.face.faceframe import FaceFrame
-from morphspace.face.mesh import LEFT_LIDS, RIGHT_LIDS, UPPER_LIP_BOTTOM
+from morphspace.face.mesh import LANDMARKS, LEFT_LIDS, RIGHT_LIDS, UPPER_LIP_BOTTOM
 from morphspace.io.images import write_image
 from morphspace.io.templates import LipName, YAxis, read_marked_points
 from morphspace.model.file import check_content
@@ -27,7 +27,7 @@ from morphspace.model.keypoints import (
     lip_of,
     picture_to_mean,
 )
-from morphspace.model.landmarks import LANDMARKS, LEAST_FACES, LandmarkRegression
+from morphspace.model.landmarks import LEAST_FACES, LandmarkRegression
 from morphspace.model.model import MorphModel, load_model
 from morphspace.outcome import Outcome
 from morphspace.sets.protect import check_file

@@ -18,11 +18,12 @@ import numpy as np
 from morphspace.arrays import Image, LoadingTable
 from morphspace.errors import BadInput
 from morphspace.face.detector import Detector, own_detector
+from morphspace.face.regions import WHOLE
 from morphspace.imitation import Comparison, MaskedBasis, compare
 from morphspace.imitation.advice import chance_words, mean_apart, size_words, strange_words
 from morphspace.imitation.faces_seen import FacesSeen, look_for_faces
 from morphspace.imitation.imitator import METHOD, imitator_of
-from morphspace.imitation.motions import Motion, Region, at_rate_of, measured, opened, part_of, share_of
+from morphspace.imitation.motions import Motion, at_rate_of, measured, opened, part_of, share_of
 from morphspace.imitation.table import (
     component_names,
     reasons_of,
@@ -81,7 +82,7 @@ class MeasureMimicryRequest:
     permutations: int = 1000
     seed: int = 0
     mask: Path | None = None
-    region: Region = "whole"
+    region: str = WHOLE
     imitator: Path | None = None
 
 
@@ -258,7 +259,7 @@ def _check_request(request: MeasureMimicryRequest, model: MorphModel) -> None:
     check_components(request.components)
     if request.permutations < 0:
         raise BadInput(f"{request.permutations} permutations cannot be drawn: give 0 or more")
-    if request.mask is not None and request.region != "whole":
+    if request.mask is not None and request.region != WHOLE:
         raise BadInput(f"both the mask {request.mask} and the region {request.region} were given: choose one")
 
 

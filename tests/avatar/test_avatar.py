@@ -24,9 +24,17 @@ from morphspace.avatar.visible import inside_outline, skin_share
 from morphspace.cli.main import main
 from morphspace.errors import BadInput
 from morphspace.face.faceframe import FaceFrame
-from morphspace.face.mesh import FACE_OUTLINE, INNER_LIPS, LEFT_BROW, POINT_COUNT, RIGHT_BROW
+from morphspace.face.mesh import (
+    FACE_OUTLINE,
+    INNER_LIPS,
+    LANDMARKS,
+    LEFT_BROW,
+    POINT_COUNT,
+    RIGHT_BROW,
+    landmark_places,
+)
 from morphspace.grid import warp
-from morphspace.model.landmarks import LANDMARKS, LandmarkRegression, landmark_places
+from morphspace.model.landmarks import LandmarkRegression
 from morphspace.model.model import Loadings
 from morphspace.model.morph import Morph
 from morphspace.steps import result_of

@@ -13,9 +13,9 @@ from morphspace.avatar.common_grid import CommonFace, Laid
 from morphspace.avatar.mouth import Landmarks, Matcher
 from morphspace.avatar.versions import LEAST, Version
 from morphspace.face.faceframe import FaceFrame
-from morphspace.face.mesh import INNER_LIPS, OUTER_LIPS, POINT_COUNT, RIGID_POINTS
+from morphspace.face.mesh import INNER_LIPS, LANDMARKS, OUTER_LIPS, POINT_COUNT, RIGID_POINTS
 from morphspace.grid import warp
-from morphspace.model.landmarks import LANDMARKS, LandmarkRegression
+from morphspace.model.landmarks import LandmarkRegression
 from morphspace.model.morph import Morph
 
 FACEFRAME = FaceFrame((20.0, 30.0), (44.0, 30.0), (32.0, 50.0))

@@ -9,6 +9,7 @@ import pytest
 from click.testing import CliRunner
 
 from morphspace.cli.main import main
+from morphspace.face.regions import REGIONS
 from morphspace.io.images import write_image
 from morphspace.io.tables import read_loadings_table
 from morphspace.model.encode import framed_for
@@ -167,3 +168,9 @@ def test_a_broken_sidecar_is_refused(folder, tmp_path):
     for entry, value in (("drawing", {}), ("drawing", None), ("version", 2), ("format", "x"), ("output", 3)):
         sidecar.write_text(json.dumps({**whole, entry: value}), encoding="utf-8")
         refused(run("replay", sidecar, "--model", folder / "a.morph"))
+
+
+@pytest.mark.parametrize("verb", ["caricature", "measure-mimicry"])
+def test_every_verb_knows_the_same_parts_of_a_face(verb):
+    help_text = run(verb, "--help").output
+    assert all(name in help_text for name in REGIONS if name != "whole")

@@ -12,6 +12,7 @@ import pytest
 import safetensors
 
 from morphspace.errors import BadInput, ModelFileError
+from morphspace.face.mesh import LANDMARKS
 from morphspace.io.sidecars import (
     MarkedFaceframe,
     Sidecar,
@@ -22,7 +23,6 @@ from morphspace.io.sidecars import (
 )
 from morphspace.io.tables import read_loadings_table, write_loadings_table
 from morphspace.model.file import OPTIONAL_ARRAY_KINDS
-from morphspace.model.landmarks import LANDMARKS
 from morphspace.model.model import load_model
 from morphspace.steps import result_of
 from morphspace.storage import digest_of_file, read_container, write_container

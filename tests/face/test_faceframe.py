@@ -5,7 +5,7 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 from morphspace.errors import BadInput
-from morphspace.face.faceframe import FaceFrame, aligned, face_mask, identity_affine, rigid_region
+from morphspace.face.faceframe import FaceFrame, aligned, identity_affine
 from morphspace.grid import warp
 from morphspace.io.framing import Framing
 
@@ -100,53 +100,6 @@ def test_an_aligned_frame_shows_at_p_what_the_image_has_at_a_p(picture):
     assert_array_equal(frame.registration, movement)
     assert_allclose(frame.image[3:, :-4], image[:-3, 4:], atol=1e-5)
     assert aligned(image, "some", identity_affine()).image is image
-
-
-# ellipses
-
-
-def test_masks_are_soft_ellipses_in_zero_to_one():
-    for make in (face_mask, rigid_region):
-        mask = make(HEIGHT, WIDTH)
-        assert mask.shape == (HEIGHT, WIDTH)
-        assert mask.dtype == np.float32
-        assert mask.min() == 0
-        assert mask.max() == 1
-        assert ((mask > 0) & (mask < 1)).any()
-    assert (rigid_region(HEIGHT, WIDTH) <= face_mask(HEIGHT, WIDTH)).all()
-
-
-def test_the_ellipse_has_the_area_of_its_half_axes():
-    mask = face_mask(240, 200)
-    # half axes 0.37 w and 0.42 h; the soft edge gains as much as it loses, but for (0.15)^2 / 12
-    assert mask.sum() == pytest.approx(np.pi * 0.37 * 200 * 0.42 * 240 * (1 + 0.15**2 / 12), rel=0.005)
-
-
-def test_a_faceframe_carries_its_ellipse_along():
-    faceframe = FaceFrame((35.0, 50.0), (61.0, 50.0), (48.0, 76.0))
-    moved = FaceFrame((40.0, 43.0), (66.0, 43.0), (53.0, 69.0))
-    for make in (face_mask, rigid_region):
-        here, there = make(HEIGHT, WIDTH, faceframe), make(HEIGHT, WIDTH, moved)
-        assert_allclose(there[: HEIGHT - 7, 5:], here[7:, : WIDTH - 5], atol=1e-6)
-
-
-def similarity(degrees, scale, shift):
-    """A similarity about the middle of the picture."""
-    angle = np.deg2rad(degrees)
-    linear = scale * np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
-    middle = np.array([WIDTH / 2, HEIGHT / 2])
-    return np.column_stack([linear, middle - linear @ middle + shift])
-
-
-def test_a_tilted_faceframe_tilts_its_ellipse():
-    upright = FaceFrame((35.0, 50.0), (61.0, 50.0), (48.0, 76.0))
-    turn = similarity(20.0, 1.0, (0.0, 0.0))
-    tilted = upright.moved(warp.apply_affine(turn, upright.points))
-    back = warp.sample_field(
-        rigid_region(HEIGHT, WIDTH, tilted)[..., None], warp.affine_displacement(turn, HEIGHT, WIDTH)
-    )
-    # the linear look-up cuts the corner where the ramp of 0.34 a px begins
-    assert_allclose(np.squeeze(back), rigid_region(HEIGHT, WIDTH, upright), atol=0.09)
 
 
 def test_the_points_of_a_faceframe_come_in_order():

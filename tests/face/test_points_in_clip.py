@@ -7,9 +7,9 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from morphspace.face import regions
 from morphspace.face.detector import Detector
-from morphspace.face.faceframe import face_mask
 from morphspace.face.mesh import FACE_OUTLINE, LEFT_LIDS, PHILTRUM, POINT_COUNT, RIGHT_LIDS, FacePoints
 from morphspace.face.points_in_clip import points_steps
+from morphspace.face.regions import face_mask
 from morphspace.face.registration import Registration
 from morphspace.grid import warp
 from morphspace.model.passes import BuildSettings, build_steps

@@ -7,7 +7,8 @@ from scipy import ndimage
 
 from morphspace.errors import BadInput
 from morphspace.face import registration
-from morphspace.face.faceframe import aligned, identity_affine, rigid_region
+from morphspace.face.faceframe import aligned, identity_affine
+from morphspace.face.regions import rigid_region
 from morphspace.face.registration import Registration, register
 from morphspace.flow.baselines import dis_medium, grey_codes
 from morphspace.grid import warp

@@ -15,7 +15,7 @@ from morphspace.cli.keypoints import add_keypoints
 from morphspace.cli.main import OneLineErrors, verb
 from morphspace.errors import BadInput, ModelFileError
 from morphspace.face.faceframe import FaceFrame
-from morphspace.face.mesh import LEFT_LIDS, RIGHT_LIDS
+from morphspace.face.mesh import LANDMARKS, LEFT_LIDS, RIGHT_LIDS
 from morphspace.grid import warp
 from morphspace.io.images import read_image
 from morphspace.io.sidecars import MarkedFaceframe
@@ -31,7 +31,7 @@ from morphspace.model.keypoints import (
     reference_to_mean,
     required_faceframe,
 )
-from morphspace.model.landmarks import LANDMARKS, LandmarkRegression
+from morphspace.model.landmarks import LandmarkRegression
 from morphspace.model.model import load_model
 from morphspace.steps import result_of
 from morphspace.verbs.keypoints import KeypointsRequest, run

@@ -11,11 +11,11 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from morphspace.errors import BadInput, ModelFileError
 from morphspace.face.faceframe import FaceFrame
-from morphspace.face.mesh import INNER_LIPS, POINT_COUNT
+from morphspace.face.mesh import GROUPS, INNER_LIPS, LANDMARKS, POINT_COUNT, landmark_places
 from morphspace.grid import warp
 from morphspace.model.file import check_content
 from morphspace.model.keypoints import detect_faceframe, with_detected
-from morphspace.model.landmarks import GROUPS, LANDMARKS, landmark_places, learn_landmarks
+from morphspace.model.landmarks import learn_landmarks
 from morphspace.model.model import load_model
 from morphspace.steps import result_of
 from morphspace.storage import read_container, write_container

@@ -10,7 +10,8 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from morphspace.cache import read_result
 from morphspace.errors import BadInput
-from morphspace.face.faceframe import FaceFrame, face_mask, identity_affine, mouth_region, rigid_region
+from morphspace.face.faceframe import FaceFrame, identity_affine
+from morphspace.face.regions import face_mask, mouth_surroundings, rigid_region
 from morphspace.flow import methods
 from morphspace.grid import warp
 from morphspace.linear.quality import psnr_db, rms_px
@@ -151,7 +152,7 @@ def test_of_a_long_clip_evenly_spread_frames_are_looked_at_for_the_reference(cli
     assert place != few[place]  # which of the four, and below which of the nine
     for index, image, contrast in zip(few, images, contrasts, strict=True):
         assert_allclose(image, clip.pictures[index], atol=1e-6)
-        assert contrast == pytest.approx(mouth_contrast(clip.pictures[index], mouth_region(72, 60)))
+        assert contrast == pytest.approx(mouth_contrast(clip.pictures[index], mouth_surroundings(72, 60)))
     assert_allclose(mask, face_mask(72, 60), atol=1e-6)
     assert (choice.index, choice.name) == (few[place], clip.names[few[place]])
     assert "of 4 frames tried" in choice.reason

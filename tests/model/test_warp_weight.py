@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from morphspace.face.faceframe import face_mask
+from morphspace.face.regions import face_mask
 from morphspace.grid import warp
 from morphspace.linear.pca import fit_basis, gram_matrix, mean_row
 from morphspace.linear.quality import psnr_db

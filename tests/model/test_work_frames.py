@@ -9,7 +9,7 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 from morphspace.errors import BadInput
-from morphspace.face.faceframe import face_mask
+from morphspace.face.regions import face_mask
 from morphspace.flow import Flow, methods
 from morphspace.flow.starts import FOLD_LIMIT, photometric_error
 from morphspace.grid import warp

@@ -14,7 +14,6 @@ from morphspace.stimuli.caricature import caricatured, components_named
 from morphspace.stimuli.drawing import Drawing, Placing, check_name, drawing_of
 from morphspace.stimuli.drawn import draw, mask_of, morph_at
 from morphspace.stimuli.plausibility import plausibility, plausible_limits_sd
-from morphspace.stimuli.regions import REGIONS, region_mask
 from morphspace.stimuli.sampling import drawn_sd
 from morphspace.verbs import sample
 
@@ -86,43 +85,12 @@ def test_the_whole_face_as_a_region_is_no_region(model):
     np.testing.assert_allclose(whole, plain, atol=1e-5)
 
 
-def test_the_halves_of_a_face_make_it_whole_and_regions_join(marked):
-    masks = {name: region_mask(marked, name) for name in REGIONS}
-    np.testing.assert_allclose(masks["upper"] + masks["lower"], 1, atol=1e-6)
-    np.testing.assert_array_equal(
-        region_mask(marked, "eyes+mouth"), np.maximum(masks["eyes"], masks["mouth"])
-    )
-    for name, mask in masks.items():
-        assert mask.shape == marked.mask.shape and mask.min() >= 0 and mask.max() <= 1 + 1e-6, name
-
-
-def test_regions_lie_where_their_part_of_the_face_is(marked):
-    def at(name, point):
-        x, y = (round(value) for value in point)
-        return region_mask(marked, name)[y, x]
-
-    frame = marked.faceframe
-    below = (30, 53)  # the mouth: as far below the philtrum as usual
-    assert at("eyes", frame.right_eye) > 0.99 and at("eyes", frame.left_eye) > 0.99
-    assert at("mouth", below) > 0.99 and at("mouth", frame.right_eye) < 0.01
-    assert at("eyes", below) < 0.01 and at("nose", (30, 38)) > 0.99
-    assert at("brows", (20, 20)) > 0.99 and at("brows", below) < 0.01
-    assert at("upper", frame.right_eye) > 0.9 > 0.1 > at("upper", below)
-
-
 def test_a_painted_region_of_another_size_is_refused(model):
     drawing = Drawing(
         "a", LOADINGS[:1], region="mask.png", outside_sd=LOADINGS[1:], region_mask=np.ones((5, 6))
     )
     with pytest.raises(BadInput, match=r"mask\.png is 6x5, .* 60x72"):
         only(model, drawing)
-
-
-def test_a_region_without_keypoints_is_refused(model, marked):
-    with pytest.raises(BadInput, match="morphspace keypoints"):
-        region_mask(model, "eyes")
-    with pytest.raises(BadInput, match="'ears'"):
-        region_mask(marked, "eyes+ears")
 
 
 def test_gain_one_is_the_identity_and_gain_zero_the_mean():

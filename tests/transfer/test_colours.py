@@ -8,7 +8,8 @@ import pytest
 from numpy.testing import assert_allclose
 
 from morphspace.face.faceframe import FaceFrame
-from morphspace.model.landmarks import LANDMARKS, LandmarkRegression, landmark_places, ring_gaps
+from morphspace.face.mesh import LANDMARKS, landmark_places
+from morphspace.model.landmarks import LandmarkRegression, ring_gaps
 from morphspace.model.morph import parts_of, vector_of
 from morphspace.transfer.colours import Texturing
 

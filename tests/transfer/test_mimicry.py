@@ -8,10 +8,10 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from morphspace.errors import BadInput
 from morphspace.face.faceframe import FaceFrame
-from morphspace.face.mesh import LIPS, POINT_COUNT
+from morphspace.face.mesh import LANDMARKS, LIPS, POINT_COUNT, landmark_places
 from morphspace.grid import warp
 from morphspace.model.keypoints import DetectedFaceframe, landmarks_of
-from morphspace.model.landmarks import LANDMARKS, LandmarkRegression, landmark_places
+from morphspace.model.landmarks import LandmarkRegression
 from morphspace.model.model import MorphModel
 from morphspace.model.morph import MorphOffset, vector_of
 from morphspace.transfer.mimicry import (

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from morphspace.face.faceframe import FaceFrame
-from morphspace.model.landmarks import LANDMARKS, LandmarkRegression, landmark_places
+from morphspace.face.mesh import LANDMARKS, landmark_places
+from morphspace.model.landmarks import LandmarkRegression
 from morphspace.transfer.mimicry import mimic, offset_of
 from morphspace.transfer.quality import Reach, openings_of, reach_of
 from morphspace.transfer.quality_table import BEYOND, WIDER, FrameMade

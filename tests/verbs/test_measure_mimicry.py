@@ -22,11 +22,12 @@ from morphspace.errors import BadInput, ReferenceMismatch, UnreadableFile
 from morphspace.face.faceframe import FaceFrame
 from morphspace.grid import warp
 from morphspace.imitation.imitator import imitator_of
-from morphspace.imitation.motions import name_of_table, region_mask
+from morphspace.imitation.motions import name_of_table
 from morphspace.io.images import read_image, write_image
 from morphspace.io.tables import read_loadings_table, read_metrics_table, write_loadings_table
 from morphspace.io.video import video_info
 from morphspace.model.from_clip import build_model
+from morphspace.model.keypoints import region_of
 from morphspace.model.model import load_model
 from morphspace.model.morph import Morph
 from morphspace.steps import result_of
@@ -169,7 +170,7 @@ def test_what_lies_beside_the_table_fits_its_schema(work, model, case):
         ("frame_rate_hz", "25"),
         ("paired_frames", 2),
         ("stimulus_frames", 3.5),
-        ("region", "nose"),
+        ("region", "ears"),
         ("carried_by", "magic"),
         ("notes", "none"),
         ("still", {"stimulus": []}),
@@ -402,18 +403,29 @@ def test_the_page_says_which_p_is_of_what(work, model):
 
 def test_a_part_of_the_face_hides_what_happens_elsewhere(work, model):
     """The drawn face opens its mouth below row 50: eyes alone can tell little of it, the mouth nearly all."""
+    model = with_keypoints(work, model)
     given = table(work, "a", motion(), model), table(work, "b", motion(seed=1), model)
     shares = {}
-    for region in ("eyes", "mouth"):
+    for region in ("eyes", "mouth", "eyes+brows"):
         measured(work, *given, region=region)
         shares[region] = np.array(rows(work)["visible_share"][:3])
         assert json.loads((work / "out" / "measures.json").read_text())["region"] == region
     assert (shares["eyes"] < 1).all() and (shares["mouth"] < 1).all()
-    mask = region_mask(model, "mouth")
+    mask = region_of(model, "mouth")
     truth = [
         (component * model.basis.weight * spread(mask)) @ component for component in model.basis.components
     ]
     assert_allclose(shares["mouth"], truth, atol=1e-4)
+
+
+def test_a_part_that_is_not_known_is_refused(work, model):
+    given = table(work, "a", motion(), model), table(work, "b", motion(seed=1), model)
+    with pytest.raises(BadInput, match=r"no region 'ears': choose of whole, eyes, brows, mouth, nose"):
+        measured(work, *given, region="ears")
+    with pytest.raises(
+        BadInput, match=r"no keypoints, so it is not known where its eyes is.*morphspace keypoints"
+    ):
+        measured(work, *given, region="eyes")
 
 
 def spread(mask):
@@ -421,7 +433,7 @@ def spread(mask):
 
 
 def test_a_clip_and_the_table_of_it_say_the_same_of_a_part(work, model):
-    loadings = 0.7 * motion(8)
+    model, loadings = with_keypoints(work, model), 0.7 * motion(8)
     measured(work, clip(work, "clip", loadings, model), table(work, "b", loadings, model), region="mouth")
     found = rows(work)
     assert (
@@ -437,14 +449,6 @@ def test_a_white_mask_is_the_whole_face(work, model):
     measured(work, *given, mask=work / "white.png")
     assert_allclose(rows(work)["correlation"], whole["correlation"], atol=0.01)  # the prior shrinks by 1e-3
     assert_allclose(rows(work)["visible_share"][:3], 1, atol=1e-4)
-
-
-def test_regions_lie_where_their_names_say(model):
-    eyes, mouth = region_mask(model, "eyes"), region_mask(model, "mouth")
-    y = np.arange(72)[:, None]
-    assert (eyes * y).sum() / eyes.sum() < 0.5 * 72 < (mouth * y).sum() / mouth.sum()
-    assert (eyes * mouth).max() == 0
-    assert eyes.max() == 1 and mouth.max() == 1
 
 
 def test_the_page_is_complete_and_harmless(work, model):
@@ -470,6 +474,13 @@ def test_a_table_of_another_model_is_refused_and_says_what_to_do(work, model):
 
 
 KEYPOINTS = FaceFrame((20.0, 28.0), (40.0, 28.0), (30.0, 44.0))
+
+
+def with_keypoints(work, model):
+    """The stimulus' model with keypoints, saved."""
+    marked = model.with_faceframe(KEYPOINTS)
+    marked.save(work / "drawn.morph")
+    return load_model(work / "drawn.morph")
 
 
 def linked(work, model):
@@ -522,14 +533,14 @@ def test_what_another_person_does_is_read_in_their_own_model_and_carried_over(wo
 def test_what_another_person_does_elsewhere_does_not_reach_a_part(work, model):
     """The other's last component colours all but the mouth: the whole face carries it over, the mouth does not."""
     model, other = linked(work, model)
-    mouth = region_mask(model, "mouth")
+    mouth = region_of(model, "mouth")
     elsewhere = np.where(spread(mouth) > 0, 0, model.basis.components[2]).astype(np.float32)
     components = np.concatenate([other.basis.components[:2], elsewhere[None]])
     replace(other, basis=replace(other.basis, components=components)).save(work / "elsewhere.morph")
     loadings = np.array([0, 0, other.sd[2]])
     whole = imitator_of(work / "elsewhere.morph", model, None).carry(loadings) / model.sd
     part = imitator_of(work / "elsewhere.morph", model, mouth).carry(loadings) / model.sd
-    assert np.abs(whole).max() > 0.3
+    assert np.abs(whole).max() > 0.1
     assert np.abs(part).max() < 1e-4
 
 

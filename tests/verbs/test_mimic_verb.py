@@ -15,7 +15,7 @@ from morphspace.cli.main import main
 from morphspace.errors import BadInput, UnreadableFile, UnwritableFile
 from morphspace.face import anchor
 from morphspace.face.detector import Detector
-from morphspace.face.faceframe import FaceFrame, face_mask
+from morphspace.face.faceframe import FaceFrame
 from morphspace.face.mesh import (
     LEFT_LIDS,
     LOWER_LIP_TOP,
@@ -24,6 +24,7 @@ from morphspace.face.mesh import (
     UPPER_LIP_BOTTOM,
     FacePoints,
 )
+from morphspace.face.regions import face_mask
 from morphspace.io.framing import Framing
 from morphspace.io.images import read_image, write_image
 from morphspace.io.tables import read_loadings_table, read_metrics_table
