@@ -15,6 +15,7 @@ import numpy as np
 
 from morphspace.arrays import AnyArray, LoadingVector
 from morphspace.avatar.originals import Originals
+from morphspace.face.expression import lid_opening, mouth_opening
 from morphspace.face.mesh import landmark_places
 from morphspace.model.keypoints import affine_between_models, required_faceframe
 from morphspace.model.landmarks import LandmarkRegression
@@ -34,9 +35,6 @@ LENGTH_SD = (2.0, 3.5)  # root mean square loading; training faces have 1
 MISFIT = (0.06, 0.14)  # eye distances between the gap asked for and the one shown, of lips or lids
 BEYOND = (0.03, 0.10)  # eye distances by which the lips are asked to open further than they ever did
 LEAST = 0.1  # plausibility below which a version is left out
-# Opposite points of the lids and of the inner lips, as places in those groups of landmarks.
-LID_GAPS = ((4, 12), (20, 28))
-LIP_GAP = (15, 5)
 
 
 @dataclass(frozen=True, eq=False)
@@ -169,11 +167,11 @@ class Gaps:
     def _of(self, model: MorphModel, loadings: LoadingVector, linear: AnyArray | None = None) -> AnyArray:
         """Give the gaps (3,) px of the inner lips and of both pairs of lids in a face of a model."""
         points = _regression(model).at(loadings)
-        lips, lids = points[landmark_places("inner lips")], points[landmark_places("lids")]
-        across = [lips[LIP_GAP[0]] - lips[LIP_GAP[1]], *(lids[low] - lids[high] for low, high in LID_GAPS)]
         if linear is not None:
-            across = [linear @ gap for gap in across]
-        return np.array([float(np.hypot(*gap)) for gap in across])
+            points = points @ linear.T
+        lips, lids = points[landmark_places("inner lips")], points[landmark_places("lids")]
+        half = len(lids) // 2
+        return np.array([mouth_opening(lips), lid_opening(lids[:half]), lid_opening(lids[half:])])
 
 
 def _regression(model: MorphModel) -> LandmarkRegression:

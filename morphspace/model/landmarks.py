@@ -76,14 +76,6 @@ class LandmarkRegression:
         }
 
 
-def ring_gaps(ring: AnyArray) -> AnyArray:
-    """Give how the points of the far side of a ring of lids or lips (k, n, 2) lie from those of the side that comes
-    first, each from the one opposite, corners left out: (k, n / 2 - 1, 2). Of inner lips: lower minus upper.
-    """
-    half = ring.shape[1] // 2
-    return ring[:, :half:-1] - ring[:, 1:half]
-
-
 def learn_landmarks(
     loadings: LoadingTable, points: AnyArray, sd: AnyArray, warp_weights: AnyArray
 ) -> LandmarkRegression:

@@ -22,7 +22,7 @@ from morphspace.errors import BadInput
 from morphspace.face import regions
 from morphspace.face.anchor import FaceAnchor, rigid_movement
 from morphspace.face.detector import Detector
-from morphspace.face.expression import far_from_rest, mouth_gap
+from morphspace.face.expression import expression_of, far_from_rest
 from morphspace.face.faceframe import FaceFrame, Frame, RegistrationKind
 from morphspace.face.mesh import FacePoints
 from morphspace.face.points_in_clip import points_steps
@@ -275,7 +275,7 @@ def _nearest(face: FacePoints | None) -> str:
         return "its mouth is nearest to half open"
     return (
         "its face is nearest to rest with the lips slightly apart (their gap is "
-        f"{mouth_gap(face):.2f} eye distances)"
+        f"{expression_of(face).mouth_opening:.2f} eye distances)"
     )
 
 

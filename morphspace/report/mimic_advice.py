@@ -9,7 +9,8 @@ import numpy as np
 
 from morphspace.arrays import AnyArray
 from morphspace.face.detector import Detector, how_to_get_networks
-from morphspace.face.mesh import LOWER_LIP_TOP, MOUTH_CORNERS, UPPER_LIP_BOTTOM, FacePoints
+from morphspace.face.expression import expression_of
+from morphspace.face.mesh import FacePoints
 from morphspace.model.encode import STRANGE
 from morphspace.model.model import MorphModel
 from morphspace.transfer.driver import Driver
@@ -65,18 +66,6 @@ def looks_for_faces(
     return Looks(detector, means)
 
 
-def expression_of(points: FacePoints) -> dict[str, float]:
-    """Give what tells of expression in a mean face, in eye distances: how far the mouth is open, and how wide."""
-    x = points.points
-    upper, lower = x[UPPER_LIP_BOTTOM], x[LOWER_LIP_TOP]
-    right, left = x[list(MOUTH_CORNERS)]
-    scale = points.interocular_px
-    return {
-        "opening": float(np.hypot(*(lower - upper))) / scale,
-        "width": float(np.hypot(*(left - right))) / scale,
-    }
-
-
 def advice_of(
     source: MorphModel,
     target: MorphModel,
@@ -100,7 +89,9 @@ def advice_of(
 def _means_words(source: MorphModel, target: MorphModel, looks: Looks) -> tuple[str, ...]:
     if looks.means is None:
         return ()
-    a, b = (expression_of(points) for points in looks.means)
+    a, b = (
+        {"opening": one.mouth_opening, "width": one.mouth_width} for one in map(expression_of, looks.means)
+    )
     words = [
         f"the mouth's {name} is {a[name]:.0%} of the eye distance in {source.identity}, {b[name]:.0%} in "
         f"{target.identity}"

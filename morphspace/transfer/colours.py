@@ -17,10 +17,10 @@ from functools import cached_property
 import numpy as np
 
 from morphspace.arrays import AnyArray, Image, LoadingTable, LoadingVector, Mask
+from morphspace.face.expression import ring_gaps
 from morphspace.face.mesh import LANDMARKS, landmark_places
 from morphspace.linear.simplex import nearest_mixture
 from morphspace.model.keypoints import landmarks_of, moved_by_components, required_faceframe
-from morphspace.model.landmarks import ring_gaps
 from morphspace.model.model import MorphModel
 
 UPPER_FROM, LOWER_FROM = (

@@ -13,9 +13,9 @@ from typing import Protocol
 import numpy as np
 
 from morphspace.arrays import AnyArray, LoadingVector
+from morphspace.face.expression import mean_gap
 from morphspace.face.mesh import landmark_places
 from morphspace.model.keypoints import affine_between_models, required_faceframe
-from morphspace.model.landmarks import ring_gaps
 from morphspace.model.model import MorphModel
 from morphspace.model.morph import MorphOffset, vector_of
 from morphspace.transfer.mimicry import FEATURE_WEIGHT, Mimicry, Passage, feature_weights
@@ -126,10 +126,8 @@ def openings_of(
     down = lip - (right + left) / 2
     down = down / (np.hypot(*down) * np.hypot(*(left - right)))  # per px, in eye distances
     linear = affine_between_models(source, target)[:, :2]
-    shown = ring_gaps(target.landmarks.weights[:, landmark_places("inner lips")]).mean(axis=1) @ down
-    asked = (
-        ring_gaps(source.landmarks.weights[:, landmark_places("inner lips")]).mean(axis=1) @ linear.T @ down
-    )
+    shown = mean_gap(target.landmarks.weights[:, landmark_places("inner lips")]) @ down
+    asked = mean_gap(source.landmarks.weights[:, landmark_places("inner lips")]) @ linear.T @ down
     at_rest = (0.0, 0.0)
     if rest is not None:
         loadings = [

@@ -4,12 +4,21 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
-from morphspace.face.expression import LOWER_LIDS, SLIGHTLY_OPEN, UPPER_LIDS, far_from_rest, mouth_gap
+from morphspace.face.expression import (
+    SLIGHTLY_OPEN,
+    expression_of,
+    far_from_rest,
+    lid_opening,
+    mean_gap,
+    mouth_opening,
+    ring_gaps,
+)
 from morphspace.face.mesh import (
     LEFT_BROW,
     LEFT_LIDS,
     LIPS,
     LOWER_LIP_TOP,
+    MOUTH_CORNERS,
     POINT_COUNT,
     RIGHT_BROW,
     RIGHT_LIDS,
@@ -19,6 +28,8 @@ from morphspace.face.mesh import (
 from morphspace.grid import warp
 
 EYES_PX = 30.0
+TWICE = np.array([[2.0, 0, 0], [0, 2, 0]])
+UPPER_LIDS, LOWER_LIDS = (160, 159, 158, 385, 386, 387), (144, 145, 153, 380, 374, 373)  # facing each other
 MOVEMENT = np.array([[0.98, -0.17, 12.0], [0.17, 0.98, -4.0]])  # a similarity: turn of 10 degrees and a shift
 
 
@@ -38,9 +49,36 @@ def moved(one, movement):
     return one.moved(warp.apply_affine(movement, one.points))
 
 
-def test_the_mouths_gap_is_told_in_eye_distances():
-    assert mouth_gap(face(0.25)) == pytest.approx(0.25)
-    assert mouth_gap(moved(face(0.25), np.array([[2.0, 0, 0], [0, 2, 0]]))) == pytest.approx(0.25)
+def test_the_mouths_opening_is_in_eye_distances():
+    assert expression_of(face(0.25)).mouth_opening == pytest.approx(0.25)
+    assert expression_of(moved(face(0.25), TWICE)).mouth_opening == pytest.approx(0.25)
+
+
+def circle(count):
+    """A ring of radius 1 that runs over the top from left to right, and back below."""
+    angles = 2 * np.pi * np.arange(count) / count
+    return np.column_stack([-np.cos(angles), -np.sin(angles)])
+
+
+def test_openings_of_a_circle_are_those_of_its_chords():
+    """20 points of inner lips stand 18 degrees apart, 16 of lids 22.5; a chord is 2 sin of its angle."""
+    assert mouth_opening(circle(20)) == pytest.approx(2)
+    assert lid_opening(circle(16)) == pytest.approx((2 + 4 * np.sin(np.radians(67.5))) / 3)
+    assert_allclose(
+        mean_gap(circle(20)[None])[0], [0, ring_gaps(circle(20)[None])[0, :, 1].mean()], atol=1e-12
+    )
+
+
+def test_the_width_and_the_lids_are_in_eye_distances_too():
+    points = face().points.copy()
+    points[list(MOUTH_CORNERS)] = (41.0, 78.0), (59.0, 78.0)
+    points[list(UPPER_LIDS)] = points[list(LOWER_LIDS)] - (0.0, 0.2 * EYES_PX)
+    for one in (FacePoints(points, 0.9), FacePoints(2 * points, 0.9)):
+        found = expression_of(one)
+        assert found.mouth_width == pytest.approx(18 / one.interocular_px * one.points[61, 0] / 41.0)
+        assert found.lid_opening == pytest.approx(
+            0.2 * EYES_PX * one.points[61, 0] / 41.0 / one.interocular_px
+        )
 
 
 def test_calm_faces_with_the_lips_slightly_apart_are_nearest_to_rest():

@@ -7,9 +7,10 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
+from morphspace.face.expression import ring_gaps
 from morphspace.face.faceframe import FaceFrame
 from morphspace.face.mesh import LANDMARKS, landmark_places
-from morphspace.model.landmarks import LandmarkRegression, ring_gaps
+from morphspace.model.landmarks import LandmarkRegression
 from morphspace.model.morph import parts_of, vector_of
 from morphspace.transfer.colours import Texturing
 
