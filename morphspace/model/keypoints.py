@@ -205,6 +205,11 @@ def lip_of(model: MorphModel) -> Lip:
     return "upper-lip" if lip == "upper-lip" else "philtrum"
 
 
+def point_names(model: MorphModel) -> tuple[str, str, str]:
+    """Give what the three points of a model with a faceframe mark."""
+    return "right eye", "left eye", "philtrum" if lip_of(model) == "philtrum" else "upper lip's bottom"
+
+
 def landmarks_of(model: MorphModel) -> Points | None:
     """Give the points of the face mesh on the mean face, (478, 2) px, where `keypoints --auto` left them."""
     origin = model.provenance.get("keypoints")

@@ -11,6 +11,7 @@ import numpy as np
 from markupsafe import Markup
 
 from morphspace.arrays import AnyArray, Image, Mask
+from morphspace.face.faceframe import FaceFrame
 from morphspace.flow.baselines import LUMA
 from morphspace.grid import warp
 from morphspace.io.images import jpeg_bytes, png_bytes
@@ -33,6 +34,9 @@ FOLD_RED = np.array([0.80, 0.05, 0.05], np.float32)
 FOLD_OUTSIDE = np.array([0.95, 0.62, 0.20], np.float32)  # folded, but outside the mask
 CHANGE_INK = np.array([0.10, 0.30, 0.42], np.float32)
 UNSURE_INK = np.array([0.45, 0.10, 0.55], np.float32)  # unlike any skin, and unlike the folds' red
+PICTURE_SIDE_PX = 480  # the drawn mean is enlarged by whole numbers up to it
+MARKS = (("R", (215, 40, 40)), ("L", (30, 90, 230)), ("P", (20, 130, 60)))  # letter and colour
+WHITE = (255, 255, 255)
 
 
 @dataclass(frozen=True, eq=False)
@@ -180,3 +184,21 @@ def drawn_over(picture: Markup, image: Image, drawing: Markup) -> Markup:
         '<svg viewBox="-0.5 -0.5 {width} {height}" aria-hidden="true">{drawing}</svg></div>'
     )
     return markup(form, picture=picture, width=width, height=height, drawing=drawing)
+
+
+def marked_face(mean: Image, faceframe: FaceFrame) -> Image:
+    """Draw the three points on a mean face (h, w, 3), enlarged by a whole number: R and L the eyes, P the lip."""
+    height, width = mean.shape[:2]
+    times = max(1, PICTURE_SIDE_PX // max(height, width))
+    size = (width * times, height * times)
+    larger = cv2.resize(np.clip(mean, 0, 1), size, interpolation=cv2.INTER_CUBIC)
+    out = np.rint(255 * np.clip(larger, 0, 1)).astype(np.uint8)
+    radius = max(4, min(size) // 80)
+    for (letter, colour), point in zip(MARKS, faceframe.points, strict=True):
+        x, y = (round(float(value)) for value in (point + 0.5) * times - 0.5)
+        place = (x + radius + 3, y - radius)
+        for ink, thickness in ((WHITE, 3), (colour, 1)):
+            cv2.circle(out, (x, y), radius, ink, thickness, cv2.LINE_AA)
+            cv2.putText(out, letter, place, cv2.FONT_HERSHEY_SIMPLEX, 0.5, ink, thickness, cv2.LINE_AA)
+        cv2.circle(out, (x, y), 1, colour, -1)
+    return out.astype(np.float32) / np.float32(255)

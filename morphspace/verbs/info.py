@@ -8,10 +8,11 @@ from pathlib import Path
 from typing import Any
 
 from morphspace.model.file import check_content
+from morphspace.model.keypoints import point_names
+from morphspace.model.landmarks import told_errors
 from morphspace.model.model import MorphModel, load_model, points_document
 from morphspace.outcome import Outcome
 from morphspace.steps import Step, Steps
-from morphspace.verbs.keypoints import point_names, told_errors
 
 SHOWN = 10  # components listed one by one
 _FACEFRAMES = {"mean": "that is the mean of all", "source": "of whose expression it is"}

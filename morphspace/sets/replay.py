@@ -1,0 +1,388 @@
+"""Drawing a stimulus again from its sidecar, and whether sidecar, stimulus and manifest say what is drawn.
+
+Every entry of a sidecar is compared with what it would be if it were written now; both values are given where they
+differ.
+"""
+
+from __future__ import annotations
+
+import csv
+import json
+import math
+import tempfile
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from morphspace.arrays import AnyArray, Image, Mask
+from morphspace.errors import BadInput, UnreadableFile
+from morphspace.io.images import read_image, read_mask
+from morphspace.io.stimulus_sidecars import essentials, essentials_in, read_stimulus_sidecar, sidecar_text
+from morphspace.model.model import MorphModel, load_model
+from morphspace.outcome import versions
+from morphspace.sets.draw import DECIDING, Drawn, draw_file, made_from_of, originals_of, quality_of
+from morphspace.sets.manifest import MANIFEST_NAME
+from morphspace.steps import WORKERS, Step, Steps, single_threads
+from morphspace.stimuli.drawing import PICTURE_SUFFIXES, VIDEO_SUFFIXES, Drawing, drawing_of
+from morphspace.storage import digest_of_file, digest_of_json, whole_file
+
+FOLDERS_UP = 2  # from the sidecar, where a model may lie: a set inside a batch inside a project
+LONGEST_TOLD = 60  # characters of a value
+CLOSE = 1e-9  # relative: what other versions of packages may change in a figure
+ELSEWHERE = (
+    ("model", "file"),
+    ("model", "sha256"),
+    ("output", "file"),
+    ("output", "sha256"),
+)  # checked by replay
+KNOWN = (*DECIDING, "drawing", "made_from_sha256", "statistics", "quality", "output")
+
+
+@dataclass(frozen=True, eq=False)
+class Replayed:
+    """What came of drawing a stimulus again.
+
+    `name` of its file | `file` the stimulus itself, which is `found` "there", "changed" or "missing" | `sha256` of what
+    was drawn, `recorded_sha256` of the sidecar | `edited` entries of the sidecar | `differences`, those included |
+    `others`: a model's file or versions that are not the recorded ones though the bytes are the same.
+    """
+
+    name: str
+    file: Path
+    found: str
+    sha256: str
+    recorded_sha256: str | None
+    edited: tuple[str, ...]
+    differences: tuple[str, ...]
+    others: tuple[str, ...]
+
+    @property
+    def same_bytes(self) -> bool:
+        """Whether the bytes are the recorded ones."""
+        return self.sha256 == self.recorded_sha256
+
+    @property
+    def same(self) -> bool:
+        """Whether the bytes and all entries are those of the sidecar."""
+        return self.same_bytes and not self.edited
+
+
+def replayed(
+    sidecar: Path, model_path: Path | None = None, clip: tuple[str, ...] = (), output: Path | None = None
+) -> Steps[Replayed]:
+    """Draw the stimulus of a sidecar again and compare. Return a `Replayed`.
+
+    Parameters
+    ----------
+    model_path
+        The model; None to find it near the sidecar.
+    clip
+        The frames that faces were put back into, where they were moved.
+    output
+        Keeps the new stimulus.
+
+    Raises
+    ------
+    BadInput
+        Where the sidecar cannot be read, or what it names is not found.
+    """
+    _check_is_sidecar(sidecar)
+    document = read_stimulus_sidecar(sidecar)
+    path, model_sha256 = _model(sidecar, model_path, document)
+    model = load_model(path)
+    drawing = drawing_of(document["drawing"], _region(sidecar, document))
+    if clip and drawing.placing is not None:
+        drawing = replace(drawing, placing=replace(drawing.placing, sources=clip))
+    if output is not None and output.suffix.lower() != drawing.suffix:
+        raise BadInput(f"the output {output} should end in {drawing.suffix}, as the stimulus does")
+    if output is not None and output.exists():
+        raise BadInput(f"{output} is there already: give another name, so that nothing is lost")
+    _check_originals(drawing)
+    yield Step("draw", 0, 1)
+    try:
+        head = {**document, "request_sha256": digest_of_json(document["request"])}
+        made_from_of(document)
+    except ValueError as error:
+        raise BadInput(f"{sidecar} cannot be told as JSON again: {error}; copy it again") from error
+    file = sidecar.parent / str(document["output"].get("file", ""))
+    with tempfile.TemporaryDirectory(prefix="morphspace-") as folder:
+        again = Path(folder) / f"again{drawing.suffix}"
+        with single_threads():
+            drawn = draw_file(model, drawing, head, again, WORKERS)
+        sha256 = digest_of_file(again)
+        same_bytes = sha256 == document["output"].get("sha256")
+        edited = edited_entries(document, sidecar, drawing, drawn, model, again if same_bytes else None)
+        differences = (
+            []
+            if same_bytes
+            else _differences(document, model_sha256, drawn.size, again, file, drawing, bool(edited))
+        ) + edited
+        if output is not None:
+            with whole_file(output) as temporary:
+                temporary.write_bytes(again.read_bytes())
+    yield Step("draw", 1, 1)
+    return Replayed(
+        name=f"{drawing.name}{drawing.suffix}",
+        file=file,
+        found=_found(file, document),
+        sha256=sha256,
+        recorded_sha256=document["output"].get("sha256"),
+        edited=tuple(edited),
+        differences=tuple(differences),
+        others=tuple(_others(document, model_sha256)) if same_bytes else (),
+    )
+
+
+def _check_is_sidecar(path: Path) -> None:
+    """Raise `BadInput` for a folder or a stimulus itself, saying where its sidecar is."""
+    if path.is_dir():
+        raise BadInput(f"{path} is a folder: give the .json beside a stimulus in it")
+    if path.suffix.lower() in (*PICTURE_SUFFIXES, *VIDEO_SUFFIXES) and path.is_file():
+        places = (path.with_suffix(".json"), path.with_name(f"{path.name}.json"))
+        beside = next((place for place in places if place.is_file()), None)
+        where = (
+            f"{beside}" if beside is not None else "which is not there; copy it from where the set was made"
+        )
+        raise BadInput(f"{path} is a stimulus itself: give the .json beside it, {where}")
+
+
+def _check_originals(drawing: Drawing) -> None:
+    """Raise `BadInput` where the frames the faces were put back into are not there, saying how to name them."""
+    try:
+        originals_of(drawing)
+    except BadInput as error:
+        raise BadInput(f"{error}; say where the original frames are with --clip") from error
+
+
+def _found(file: Path, document: Mapping[str, Any]) -> str:
+    """Say whether the stimulus itself is `there`, `changed` or `missing`."""
+    if not file.is_file():
+        return "missing"
+    return "there" if digest_of_file(file) == document["output"].get("sha256") else "changed"
+
+
+def _model(sidecar: Path, named: Path | None, document: Mapping[str, Any]) -> tuple[Path, str]:
+    """Give the model to draw with and its digest: the one named, else one of the recorded digest, else of its name."""
+    if named is not None:
+        return named, digest_of_file(named)
+    name, wanted = str(document["model"].get("file")), document["model"].get("sha256")
+    recorded = document["request"].get("model")
+    places = [Path(recorded)] if isinstance(recorded, str) else []
+    folders = _near(sidecar)
+    places += [folder / name for folder in folders]
+    places += [path for folder in folders for path in sorted(folder.glob("*.morph"))]
+    other: tuple[Path, str] | None = None
+    for place in dict.fromkeys(places):
+        if place.is_file():
+            sha256 = digest_of_file(place)
+            if sha256 == wanted:
+                return place, sha256
+            if other is None and place.name == name:
+                other = place, sha256
+    if other is None:
+        raise BadInput(
+            f"the model {name} of {sidecar} is not in the working folder nor near the sidecar: say where it is "
+            "with --model"
+        )
+    return other
+
+
+def _near(sidecar: Path) -> list[Path]:
+    """Give the folders where what a sidecar names may lie: the working folder, and those the sidecar is in."""
+    folder = sidecar.resolve().parent
+    return list(dict.fromkeys([Path(), folder, *list(folder.parents)[:FOLDERS_UP]]))
+
+
+def _region(sidecar: Path, document: Mapping[str, Any]) -> Mask | None:
+    """Give the mask that was painted, where the region of the stimulus is one."""
+    wanted, name = document["inputs"].get("region"), document["drawing"].get("region")
+    if wanted is None or name is None:
+        return None
+    recorded = document["request"].get("region")
+    places = [Path(recorded)] if isinstance(recorded, str) else []
+    for place in [*places, *(folder / Path(str(name)).name for folder in _near(sidecar))]:
+        if place.is_file() and digest_of_file(place) == wanted:
+            return read_mask(place)
+    raise BadInput(
+        f"the region {name} of {sidecar} is not in the working folder nor near the sidecar, or is another picture than "
+        "it was: put it beside the sidecar"
+    )
+
+
+def _others(document: Mapping[str, Any], model_sha256: str) -> list[str]:
+    """Say what the stimulus was drawn with before, where that was something else: the model's file, versions."""
+    recorded = document["model"].get("sha256")
+    told = []
+    if model_sha256 != recorded:
+        told.append(f"the model is another file: {model_sha256[:16]}, recorded is {str(recorded)[:16]}")
+    return told + other_versions(document)
+
+
+def _differences(
+    document: Mapping[str, Any],
+    model_sha256: str,
+    size: tuple[int, int],
+    again: Path,
+    file: Path,
+    drawing: Drawing,
+    explained: bool,
+) -> list[str]:
+    """Say what differs: the model, versions, the size, and by how much the pixels; whether more is `explained`."""
+    told = _others(document, model_sha256)
+    if list(size) != document["output"].get("size"):
+        told.append(f"the size is {size[0]}x{size[1]} px, recorded is {document['output'].get('size')}")
+    told.append(_pixels(again, file, drawing))
+    if len(told) == 1 and not explained:
+        told.append(
+            "model and versions are the recorded ones: the sidecar or the file was edited, or the processor differs"
+        )
+    return told
+
+
+def _pixels(again: Path, file: Path, drawing: Drawing) -> str:
+    """Say how far the pixels of two stimuli lie apart, in 8-bit codes."""
+    if not file.is_file():
+        return "the stimulus itself is not there, so its pixels cannot be compared"
+    largest, changed, total = 0.0, 0, 0
+    try:
+        for one, other in zip(_frames(again, drawing), _frames(file, drawing), strict=True):
+            if one.shape != other.shape:
+                return f"the pictures differ in size: (h, w) {one.shape[:2]} and {other.shape[:2]}"
+            apart: AnyArray = np.abs(one - other) * 255
+            largest, changed, total = (
+                max(largest, float(apart.max())),
+                changed + int((apart > 0.5).sum()),
+                total + apart.size,
+            )
+    except ValueError:
+        return "the videos differ in their number of frames"
+    except UnreadableFile as error:
+        return f"the stimulus cannot be read: {error}"
+    if not changed:
+        return "every pixel is the same: what differs is what the file says of itself"
+    return f"the largest pixel difference is {largest:.0f} of 255, {100 * changed / total:.2g} % of the values differ"
+
+
+def _frames(path: Path, drawing: Drawing) -> Iterator[Image]:
+    if drawing.frame_rate_hz is None:
+        yield read_image(path)
+        return
+    from morphspace.io.video import read_frames  # loads libav, which stills do not need
+
+    yield from read_frames(path)
+
+
+def edited_entries(
+    document: Mapping[str, Any],
+    sidecar: Path,
+    drawing: Drawing,
+    drawn: Drawn,
+    model: MorphModel,
+    again: Path | None,
+) -> list[str]:
+    """Say which entries of a sidecar are not what they would be if it were written now, each with both values.
+
+    `again` is what was drawn, None where its bytes are not those recorded: then figures of the pixels differ too and
+    are not compared.
+    """
+    told = [f"{entry} is none of a sidecar's entries" for entry in document if entry not in KNOWN]
+    made_from = made_from_of(document)
+    if made_from != document["made_from_sha256"]:
+        told.append(
+            f"made_from_sha256 is {str(document['made_from_sha256'])[:16]}, what the sidecar tells comes to "
+            f"{made_from[:16]}: it was edited"
+        )
+    told += _compared({"model_id": model.model_id, "identity": model.identity}, document["model"], "model")
+    told += _beside(document, sidecar, drawing)
+    if again is not None:
+        figures = {
+            "statistics": drawn.statistics,
+            "quality": quality_of(model, drawing, drawn),
+            "output": {
+                "bytes": again.stat().st_size,
+                "frames": drawn.frames,
+                "frame_rate_hz": drawing.frame_rate_hz,
+                "size": list(drawn.size),
+            },
+        }
+        close = versions() != document["versions"]
+        for name, found in json.loads(sidecar_text(figures)).items():
+            told += _compared(found, document[name], name, close)
+    return told
+
+
+def other_versions(document: Mapping[str, Any]) -> list[str]:
+    """Say which packages had another version when the sidecar was written, or are in one list alone."""
+    now, then = versions(), document["versions"]
+    return [
+        f"{name} was {then.get(name, 'not told')}, here it is {now.get(name, 'not installed')}"
+        for name in dict.fromkeys((*then, *now))
+        if then.get(name) != now.get(name)
+    ]
+
+
+def _compared(found: Any, recorded: Any, name: str, close: bool = False) -> Iterator[str]:
+    """Say where `recorded` is not what was `found`; numbers need only be near each other where `close`."""
+    if isinstance(found, Mapping) and isinstance(recorded, Mapping):
+        for key in dict.fromkeys((*found, *recorded)):
+            if key in found or (name, key) not in ELSEWHERE:
+                yield from _compared(found.get(key), recorded.get(key), f"{name}.{key}", close)
+        return
+    numbers = all(isinstance(one, int | float) and not isinstance(one, bool) for one in (found, recorded))
+    if found == recorded or (close and numbers and math.isclose(found, recorded, rel_tol=CLOSE)):
+        return
+    yield f"{name} is {_short(recorded)} in the sidecar, drawn again it is {_short(found)}"
+
+
+def _short(value: Any) -> str:
+    text = json.dumps(value, ensure_ascii=False)
+    return text if len(text) <= LONGEST_TOLD else f"{text[:LONGEST_TOLD]}..."
+
+
+def _beside(document: Mapping[str, Any], sidecar: Path, drawing: Drawing) -> Iterator[str]:
+    """Say where what stands inside the stimulus, or in its row of the manifest, is not what the sidecar tells."""
+    picture = sidecar.parent / str(document["output"].get("file", ""))
+    inside = essentials_in(picture) if picture.is_file() else None
+    if inside is not None:
+        head = {**document, "request_sha256": digest_of_json(document["request"])}
+        try:
+            outside = essentials(head, drawing.told)
+        except KeyError as error:
+            yield f"{error.args[0]} is not in the sidecar"
+            return
+        for key in dict.fromkeys((*outside, *inside)):
+            if key != "software" and outside.get(key) != inside.get(key):
+                yield f"{key} is {_short(outside.get(key))} in the sidecar, {_short(inside.get(key))} in the stimulus"
+    row = _row(sidecar, drawing.name)
+    for key, value in drawing.told.items():
+        if key in row and not _same(value, row[key]):
+            yield f"told.{key} is {_short(value)} in the sidecar, {row[key]!r} in the manifest"
+
+
+def _row(sidecar: Path, name: str) -> dict[str, str]:
+    """Give a stimulus' row of the manifest of its set, an empty one where there is none."""
+    folder = sidecar.parent
+    for _ in range(name.count("/")):
+        folder = folder.parent
+    path = folder / MANIFEST_NAME
+    if folder / f"{name}.json" != sidecar or not path.is_file():
+        return {}
+    try:
+        with path.open(encoding="utf-8", newline="") as file:
+            return next((row for row in csv.DictReader(file) if row.get("name") == name), {})
+    except (OSError, ValueError, csv.Error):
+        return {}
+
+
+def _same(value: Any, cell: str | None) -> bool:
+    if value is None or cell is None:
+        return (value or "") == (cell or "")
+    if isinstance(value, int | float) and not isinstance(value, bool):
+        try:
+            return math.isclose(float(cell), value, rel_tol=CLOSE)
+        except ValueError:
+            return False
+    return str(value).casefold() == cell.casefold()
