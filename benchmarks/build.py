@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import functools
 import tempfile
 import threading
 import time
@@ -19,8 +18,7 @@ from tables import at_most, print_table, tell
 from morphspace import cache, steps
 from morphspace.face.registration import Registration
 from morphspace.flow import FlowMethod, methods
-from morphspace.model import passes, reference, work_frames
-from morphspace.report import frames
+from morphspace.model import work_frames
 from morphspace.verbs import build_model
 from morphspace.verbs.build_model import BuildModelRequest
 
@@ -89,7 +87,7 @@ def stages(data: Path, rounds: int) -> None:
         "these functions over all threads, divided by the threads. The end saves the model, writes the page and "
         "removes the work folder.\n"
     )
-    ways = (steps.WORKERS, 1)
+    ways = (steps.worker_count(), 1)
     found: dict[int, list[Timed]] = {workers: [] for workers in ways}
     for number in range(rounds):
         for workers in ways:
@@ -130,16 +128,12 @@ def _timed_build(data: Path, workers: int) -> Timed:
     """Build once, with so many threads."""
     walls = dict.fromkeys(STAGES, 0.0)
     flow, registration, writing = Stopwatch(), Stopwatch(), Stopwatch()
-    threads = functools.partial(steps.in_order, workers=workers)
     with (
         tempfile.TemporaryDirectory() as folder,
         replaced_flow(methods.DEFAULT, watched_method(flow, methods.METHODS[methods.DEFAULT])),
         replaced(Registration, "of", registration.watched(Registration.of)),
         replaced(work_frames, "write_result", writing.watched(cache.write_result)),
-        replaced(passes, "in_order", threads),
-        replaced(work_frames, "in_order", threads),
-        replaced(reference, "in_order", threads),
-        replaced(frames, "in_order", threads),
+        steps.using_workers(workers),
     ):
         sources = (str(data / "sequences" / BUILD_CLIP),)
         last = time.perf_counter()

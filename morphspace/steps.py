@@ -6,21 +6,34 @@ what to do with the steps; stopping is not asking for the next one.
 
 from __future__ import annotations
 
+import os
+import sys
 from collections import deque
 from collections.abc import Callable, Generator, Iterable, Iterator
-from concurrent.futures import Future, ThreadPoolExecutor
-from contextlib import AbstractContextManager, ExitStack, contextmanager
+from concurrent.futures import Executor, Future, ThreadPoolExecutor, wait
+from contextlib import AbstractContextManager, ExitStack, contextmanager, nullcontext, suppress
+from contextvars import ContextVar
 from dataclasses import dataclass
+from pathlib import Path
 from threading import Lock
 from typing import TypeVar
 
 import cv2
 from threadpoolctl import threadpool_limits
 
+from morphspace.errors import BadInput
+
 Item = TypeVar("Item")
 Result = TypeVar("Result")
 
-WORKERS = 2  # frames at a time; more gains nothing on two cores and costs memory
+WORKERS_VARIABLE = "MORPHSPACE_WORKERS"
+WORKER_BYTES = (
+    2**28
+)  # of a frame under way; a build takes 75 MB a worker at 512 x 512 px: room for 900 x 900 px
+SHARE_OF_MEMORY = 0.5  # of the machine's, for frames under way
+MEMORY_LIMIT = Path("/sys/fs/cgroup/memory.max")  # of a container, on Linux
+
+_WORKERS: ContextVar[int | Executor | None] = ContextVar("workers", default=None)
 
 
 @dataclass(frozen=True)
@@ -93,25 +106,93 @@ def single_threads() -> AbstractContextManager[None]:
     return _SINGLE_THREADS.asked()
 
 
+def worker_count() -> int:
+    """Return how many frames to work on at a time.
+
+    In this order: what `using_workers` set for the block; the environment variable MORPHSPACE_WORKERS; the number of
+    cores that this process may use, fewer where their frames would take more than half of the memory. Raises `BadInput`
+    where the variable is no number from 1.
+    """
+    given = _WORKERS.get()
+    if isinstance(given, int):
+        return given
+    words = os.environ.get(WORKERS_VARIABLE, "").strip()
+    if not words:
+        return max(1, min(core_count(), int(SHARE_OF_MEMORY * _memory_bytes() / WORKER_BYTES)))
+    if not (words.isascii() and words.isdigit() and int(words) >= 1):
+        raise BadInput(
+            f"{WORKERS_VARIABLE} is {words!r}; expected a whole number from 1. Correct it or remove it from the "
+            "environment"
+        )
+    return int(words)
+
+
+def core_count() -> int:
+    """Return how many cores this process may use."""
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
+
+
+def _memory_bytes() -> int:
+    """Return the memory of the machine or, where that is less, of the container."""
+    found = sys.maxsize
+    with suppress(AttributeError, OSError, ValueError):  # Windows has no such figure
+        found = os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
+    with suppress(OSError, ValueError):  # no container, or one without a limit
+        found = min(found, int(MEMORY_LIMIT.read_text()))
+    return found
+
+
+@contextmanager
+def using_workers(given: int | Executor | None) -> Iterator[None]:
+    """Set for a block how many frames `in_order` works on at a time, or with which executor. None changes nothing."""
+    if isinstance(given, int) and given < 1:
+        raise BadInput(f"the number of workers is {given}; expected at least 1. Leave it out for one a core")
+    token = _WORKERS.set(_WORKERS.get() if given is None else given)
+    try:
+        yield
+    finally:
+        _WORKERS.reset(token)
+
+
 def in_order(
-    work: Callable[[Item], Result], items: Iterable[Item], workers: int = WORKERS
+    work: Callable[[Item], Result], items: Iterable[Item], executor: Executor | int | None = None
 ) -> Iterator[Result]:
-    """Do `work` on the items in several threads and give the results in the items' order.
+    """Do `work` on the items at the same time and yield the results in the items' order.
 
     Only a few items are under way at a time, so memory does not grow with their number. Matrix products and OpenCV's
     filters inside the work run on one thread each: on a busy machine BLAS threads that wait for each other made an
     encoding ten times slower, and some of OpenCV's results depend in their last bits on how many threads share a
-    picture.
+    picture. So the results are the same bits for any number of workers.
+
+    Parameters
+    ----------
+    work
+        The function; for an executor of other processes it must be one that can be sent there.
+    items
+        Its arguments, read as they are needed.
+    executor
+        What runs it, and is not shut down; or the number of threads to make. None takes what `using_workers` set for
+        the block, else `worker_count` threads.
     """
-    with _SINGLE_THREADS.asked(), ThreadPoolExecutor(workers) as pool:
+    asked = executor if executor is not None else _WORKERS.get()
+    if isinstance(asked, Executor):
+        pool: AbstractContextManager[Executor] = nullcontext(asked)
+        most = getattr(asked, "_max_workers", None) or worker_count()
+    else:
+        most = asked or worker_count()
+        pool = ThreadPoolExecutor(most)
+    with _SINGLE_THREADS.asked(), pool as running:
         pending: deque[Future[Result]] = deque()
         try:
             for item in items:
-                pending.append(pool.submit(work, item))
-                if len(pending) > workers:
+                pending.append(running.submit(work, item))
+                if len(pending) > most:
                     yield pending.popleft().result()
             while pending:
                 yield pending.popleft().result()
         finally:
             for future in pending:
                 future.cancel()
+            wait(pending)

@@ -31,7 +31,7 @@ from morphspace.errors import BadInput
 from morphspace.face.faceframe import FaceFrame
 from morphspace.model.keypoints import affine_between, required_faceframe
 from morphspace.model.model import MorphModel
-from morphspace.steps import in_order
+from morphspace.steps import single_threads
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,11 +59,8 @@ class Studio:
     def common(self) -> CommonFace:
         """The common grid; the flow between the mean faces is found here."""
         cast = self.cast
-        found = in_order(
-            lambda reference: common_face(cast.models, cast.keys, reference, self.settings.flow),
-            [self.reference],
-        )
-        return next(iter(list(found)))
+        with single_threads():
+            return common_face(cast.models, cast.keys, self.reference, self.settings.flow)
 
     @cached_property
     def shares(self) -> AnyArray:
@@ -96,7 +93,8 @@ class Studio:
         """Give how everybody shows what `source` shows; only one source is kept prepared."""
         if source not in self.prepared:
             self.prepared.clear()
-            self.prepared[source] = next(iter(list(in_order(self.cast.shows_from, [source]))))
+            with single_threads():
+                self.prepared[source] = self.cast.shows_from(source)
         return self.prepared[source]
 
     def versions(self, source: int, frame: int) -> list[Version]:

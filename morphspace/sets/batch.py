@@ -21,9 +21,9 @@ from morphspace.requests import recipe_verbs
 from morphspace.sets.complete import loadings_tables
 from morphspace.sets.draw import make_stimulus
 from morphspace.sets.planned import PlannedSet, check_set, complete_set, keep_model
-from morphspace.sets.pool import DrawingPiece, FolderPiece, Piece, made_here, made_in_processes
+from morphspace.sets.pool import DrawingPiece, FolderPiece, Piece, made_here, made_in_processes, threads_of
 from morphspace.sets.recipe_plan import FOLDERS_TABLE, Planned, planned_recipe
-from morphspace.steps import WORKERS, Step, Steps
+from morphspace.steps import Step, Steps, core_count, worker_count
 from morphspace.stimuli.drawing import PICTURE_SUFFIXES, VIDEO_SUFFIXES, Drawing
 from morphspace.storage import make_folder, remove_unfinished
 
@@ -65,7 +65,7 @@ class BatchPlan:
             return self.asked_workers
         pieces = len(self.planned.drawings) + len(self.planned.folders)
         few = self.frames < FEW_FRAMES and len(self.planned.folders) < 2
-        return 1 if few else min(_cores(), pieces)
+        return 1 if few else min(worker_count(), pieces)
 
     @property
     def frames(self) -> int:
@@ -134,7 +134,9 @@ def planned_batch(
         With the recipe's line.
     """
     if workers is not None and workers < 1:
-        raise BadInput(f"{workers} processes cannot draw anything: give at least 1")
+        raise BadInput(
+            f"the number of processes is {workers}; expected at least 1. Leave it out for one a core"
+        )
     read = read_recipe(recipe, {name: verb.settings for name, verb in recipe_verbs().items()})
     planned = yield from planned_recipe(read, output, most)
     return BatchPlan(recipe, output, planned, read.description, workers)
@@ -152,7 +154,7 @@ def estimated(batch: BatchPlan) -> Estimate:
             here = sum(len(drawing.loadings_sd) for _, drawing in pairs)
             seconds, size, frames = seconds + took * here, size + bytes_of_one * here, frames + here
     share = batch.frames / frames if frames else 0.0
-    return Estimate(share * seconds / min(batch.workers, _cores()), share * size)
+    return Estimate(share * seconds / min(batch.workers, core_count()), share * size)
 
 
 def write_batch(batch: BatchPlan) -> Steps[Outcome]:
@@ -184,7 +186,7 @@ def write_batch(batch: BatchPlan) -> Steps[Outcome]:
 
 def _pieces(batch: BatchPlan) -> Iterator[Piece]:
     folder = batch.output
-    threads = max(1, min(WORKERS, _cores() // batch.workers))
+    threads = threads_of(batch.workers)
     for planned in batch.planned.sets:
         head = planned.sidecar_head()
         for drawing in planned.drawings:
@@ -302,12 +304,6 @@ def _remove_left_overs(folder: Path, planned: Planned) -> None:
     for place in (folder, *(path for path in folder.rglob("*") if path.is_dir())):
         is_filled = any(place.is_relative_to(one) for one in own)
         remove_unfinished(place, *LEFT_OVER, stems=None if is_filled else stems)
-
-
-def _cores() -> int:
-    if hasattr(os, "sched_getaffinity"):
-        return len(os.sched_getaffinity(0))
-    return os.cpu_count() or 1
 
 
 def _counted(count: int, what: str, more: str | None = None) -> str:

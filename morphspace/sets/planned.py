@@ -22,7 +22,7 @@ from morphspace.sets.draw import make_stimulus
 from morphspace.sets.kept import digest_of_kept
 from morphspace.sets.manifest import Column, described_columns
 from morphspace.sets.protect import check_replaced, check_set, files_named
-from morphspace.steps import WORKERS, Step, Steps, in_order
+from morphspace.steps import Step, Steps, in_order, worker_count
 from morphspace.stimuli.drawing import Drawing
 from morphspace.storage import digest_of_json, make_folder
 
@@ -194,7 +194,10 @@ def write_set(planned: PlannedSet, folder: Path) -> Steps[Outcome]:
     if stills:
         made = in_order(make, planned.drawings)
     else:  # the frames of a video are drawn side by side, the videos one after the other
-        made = (make_stimulus(planned.model, drawing, head, folder, WORKERS) for drawing in planned.drawings)
+        made = (
+            make_stimulus(planned.model, drawing, head, folder, worker_count())
+            for drawing in planned.drawings
+        )
     for row in made:
         rows.append(row)
         yield Step("draw", len(rows), total)

@@ -26,7 +26,7 @@ from morphspace.errors import BadInput, MorphspaceError
 from morphspace.model.model import MorphModel, load_model
 from morphspace.sets.draw import make_stimulus
 from morphspace.sets.folders import FolderJob, fill_folder
-from morphspace.steps import single_threads
+from morphspace.steps import core_count, single_threads, using_workers
 from morphspace.stimuli.drawing import Drawing
 
 QUEUED = 4  # pieces a process has waiting: none idles, and stopping is quick
@@ -97,7 +97,9 @@ def made_in_processes(pieces: Iterable[Piece], workers: int) -> Rows:
     """
     context = multiprocessing.get_context("spawn")
     stop = context.Event()
-    pool = ProcessPoolExecutor(workers, mp_context=context, initializer=_begin, initargs=(stop,))
+    pool = ProcessPoolExecutor(
+        workers, mp_context=context, initializer=_begin, initargs=(stop, threads_of(workers))
+    )
     pending: deque[Future[dict[str, Any]]] = deque()
     try:
         for piece in pieces:
@@ -137,13 +139,19 @@ def _interrupts_waiting() -> Iterator[None]:
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
-def _begin(stop: Any) -> None:
-    """Settle a new process: it ends with the one that started it, and keeps to one thread."""
+def threads_of(processes: int) -> int:
+    """Return how many frames each of so many processes works on at a time: the cores are shared among them."""
+    return max(1, core_count() // processes)
+
+
+def _begin(stop: Any, threads: int) -> None:
+    """Prepare a new process: it ends with the one that started it, and filters run on one thread each."""
     global _stop
     _stop = stop
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     threading.Thread(target=_end_with_parent, daemon=True).start()
     _held.enter_context(single_threads())
+    _held.enter_context(using_workers(threads))
 
 
 def _end_with_parent() -> None:

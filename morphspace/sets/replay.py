@@ -25,7 +25,7 @@ from morphspace.model.model import MorphModel, load_model
 from morphspace.outcome import versions
 from morphspace.sets.draw import DECIDING, Drawn, draw_file, made_from_of, originals_of, quality_of
 from morphspace.sets.manifest import MANIFEST_NAME
-from morphspace.steps import WORKERS, Step, Steps, single_threads
+from morphspace.steps import Step, Steps, single_threads, worker_count
 from morphspace.stimuli.drawing import PICTURE_SUFFIXES, VIDEO_SUFFIXES, Drawing, drawing_of
 from morphspace.storage import digest_of_file, digest_of_json, whole_file
 
@@ -111,7 +111,7 @@ def replayed(
     with tempfile.TemporaryDirectory(prefix="morphspace-") as folder:
         again = Path(folder) / f"again{drawing.suffix}"
         with single_threads():
-            drawn = draw_file(model, drawing, head, again, WORKERS)
+            drawn = draw_file(model, drawing, head, again, worker_count())
         sha256 = digest_of_file(again)
         same_bytes = sha256 == document["output"].get("sha256")
         edited = edited_entries(document, sidecar, drawing, drawn, model, again if same_bytes else None)

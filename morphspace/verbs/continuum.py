@@ -30,7 +30,7 @@ from morphspace.sets.kept import digest_of_kept
 from morphspace.sets.manifest import Column
 from morphspace.sets.planned import PlannedSet, files_named, request_document, write_set
 from morphspace.sets.sources import LISTED, file_names
-from morphspace.steps import Step, Steps, in_order
+from morphspace.steps import Step, Steps, in_order, single_threads
 from morphspace.stimuli.continuum import (
     POWERS,
     SPACINGS,
@@ -117,7 +117,8 @@ def plan(request: ContinuumRequest, model: MorphModel | None = None) -> Steps[Pl
     ends = yield from _ends(request, model)
     line = ends.line
     yield Step("space", 0, 1)
-    (spaced,) = in_order(lambda _: _spaced(request, line, positions), [None])
+    with single_threads():
+        spaced = _spaced(request, line, positions)
     yield Step("space", 1, 1)
     series = {"continuum": spaced}
     if request.control == LINEAR and not np.array_equal(spaced, even_positions(len(spaced) - 1)):
@@ -340,7 +341,8 @@ def _ends_of_pair(request: ContinuumRequest) -> Steps[_Ends]:
     paths = (Path(request.first), Path(request.last))
     digests = tuple(digest_of_kept(path) for path in paths)
     yield Step("pair", 0, 1)
-    (pair,) = in_order(lambda _: _pair(paths, digests), [None])
+    with single_threads():
+        pair = _pair(paths, digests)
     yield Step("pair", 1, 1)
     first, last = np.asarray(pair.training.values)
     path = request.output / ("-".join(file_names([one.stem for one in paths])) + MODEL_SUFFIX)

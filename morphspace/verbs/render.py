@@ -15,7 +15,7 @@ from morphspace.report.set_page import CLIPPED_PERCENT
 from morphspace.sets.draw import make_stimulus
 from morphspace.sets.planned import PlannedSet, check_replaced, plan_of, write_set
 from morphspace.sets.sources import FRAME_RATE_HZ, faces_of
-from morphspace.steps import WORKERS, Step, Steps, in_order
+from morphspace.steps import Step, Steps, in_order, worker_count
 from morphspace.stimuli.caricature import caricatured
 from morphspace.stimuli.drawing import VIDEO_SUFFIXES, Drawing
 from morphspace.stimuli.table_checks import check_reach
@@ -101,7 +101,7 @@ def _lone_video(planned: PlannedSet, output: Path) -> Steps[Outcome]:
     check_replaced(output, sidecar)
     yield Step("render", 0, 1)
     row = make_stimulus(
-        planned.model, drawing, planned.sidecar_head(), output.parent, WORKERS, (output, sidecar)
+        planned.model, drawing, planned.sidecar_head(), output.parent, worker_count(), (output, sidecar)
     )
     yield Step("render", 1, 1)
     settings = {**planned.request, "frame_rate_hz": drawing.frame_rate_hz}

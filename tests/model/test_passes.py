@@ -1,9 +1,7 @@
 """Laws of the build: same input, same bytes; nothing is done twice; what cannot be a model is refused or warned of."""
 
-from collections.abc import Iterator
 from dataclasses import replace
 
-import cv2
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
@@ -18,7 +16,7 @@ from morphspace.linear.quality import psnr_db, rms_px
 from morphspace.model import passes as build_module
 from morphspace.model.passes import BuildSettings, build_steps
 from morphspace.model.reference import mouth_contrast
-from morphspace.steps import Step, in_order, result_of
+from morphspace.steps import result_of
 
 PLAIN = BuildSettings(
     components=6, registration="none", flow="dis", start="none", reference=0, warp_weight=0.05
@@ -398,79 +396,3 @@ def test_an_unknown_flow_is_refused_before_any_work(clip, tmp_path):
 def test_a_reference_beyond_the_clip_is_refused(clip, tmp_path, reference):
     with pytest.raises(BadInput, match=f"{reference}.*9 frames|9 frames.*{reference}"):
         built(clip, tmp_path, replace(PLAIN, reference=reference))
-
-
-# the generator of steps
-
-
-def test_the_result_of_steps_is_what_they_return_and_each_step_is_told():
-    def work():
-        for done in (1, 2):
-            yield Step("some", done, 2)
-        return "finished"
-
-    told = []
-    assert result_of(work(), told.append) == "finished"
-    assert told == [Step("some", 1, 2), Step("some", 2, 2)]
-    assert result_of(work()) == "finished"
-
-
-def test_results_come_in_the_order_of_the_items_and_few_are_under_way():
-    taken = []
-
-    def items():
-        for item in range(100):
-            taken.append(item)
-            yield item
-
-    results = in_order(lambda item: item * item, items(), 2)
-    assert isinstance(results, Iterator)
-    assert [next(results) for _ in range(3)] == [0, 1, 4]
-    assert len(taken) <= 3 + 2  # two workers
-    assert list(results) == [i * i for i in range(3, 100)]
-
-
-@pytest.fixture
-def own_threads():
-    """OpenCV with three threads of its own, whatever the machine has."""
-    before = cv2.getNumThreads()
-    cv2.setNumThreads(3)
-    yield cv2.getNumThreads
-    cv2.setNumThreads(before)
-
-
-def test_threads_go_over_the_items_and_not_inside_them(own_threads):
-    assert own_threads() == 3
-    assert list(in_order(lambda item: own_threads(), range(5))) == 5 * [1]
-    assert own_threads() == 3
-
-
-def test_the_threads_come_back_after_a_failure_and_when_nobody_asks_on(own_threads):
-    with pytest.raises(ZeroDivisionError):
-        list(in_order(lambda item: 1 // item, range(3)))
-    assert own_threads() == 3
-    results = in_order(lambda item: item, range(9))
-    next(results)
-    assert own_threads() == 1
-    results.close()
-    assert own_threads() == 3
-
-
-def test_the_threads_come_back_with_the_last_of_several_loops(own_threads):
-    first, second = (in_order(lambda item: own_threads(), range(9)) for _ in range(2))
-    assert next(first) == next(second) == 1
-    first.close()
-    assert own_threads() == 1 and list(second) == 8 * [1]
-    assert own_threads() == 3
-
-
-def test_a_failure_in_a_thread_is_raised_at_its_place():
-    def work(item):
-        if item == 3:
-            raise BadInput("three")
-        return item
-
-    results = in_order(work, range(10))
-    assert [next(results) for _ in range(3)] == [0, 1, 2]
-    with pytest.raises(BadInput, match="three"):
-        next(results)

@@ -38,7 +38,7 @@ from morphspace.model.morph import Morph, parts_of, vector_of
 from morphspace.report.mimic_page import HEADINGS, LEFT_OUT
 from morphspace.sets import mimicry, models
 from morphspace.sets.mimicry import FinishedFrames, frame_steps
-from morphspace.steps import WORKERS, result_of
+from morphspace.steps import result_of, worker_count
 from morphspace.transfer import neutral
 from morphspace.transfer.driver import Driver
 from morphspace.transfer.mimicry import METHODS, Quality, auto_gain, mimic, offset_of
@@ -287,7 +287,7 @@ def test_a_long_clip_holds_a_few_frames_at_a_time(work, actor, other):
     gc.collect()
     assert len(made) == total and alive[0] <= 1
     result_of(mimicry.video_steps(driver, pictures, work / "v.mp4"))
-    assert most[0] <= 3 * (WORKERS + 2)
+    assert most[0] <= 3 * (worker_count() + 2)
 
 
 def test_a_frame_without_a_face_and_a_turned_one_are_marked_and_the_clip_goes_on(work, actor):
