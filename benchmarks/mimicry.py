@@ -23,7 +23,7 @@ from morphspace.model.from_clip import build_model
 from morphspace.model.keypoints import affine_between_models, landmarks_of
 from morphspace.model.model import MorphModel, load_model
 from morphspace.steps import result_of, spread
-from morphspace.transfer.mimicry import MAX_SD, METHODS, Method, auto_gain, mimic, offset_of
+from morphspace.transfer.mimicry import MAX_SD, METHODS, Method, auto_gain, mimic
 from morphspace.verbs import keypoints
 
 PAIRS = (
@@ -148,7 +148,7 @@ def _driven(source: MorphModel, target: MorphModel, way: str, folder: Path) -> t
     to_target = mimic(source, target, method, gain=gain, max_sd=max_sd)
     folds = []
     for index in spread(len(source.training.values), FRAMES):
-        made = to_target(offset_of(source, source.training.values[index]))
+        made = to_target(source.offset(source.training.values[index]))
         folds.append(made.quality.folds)
         write_image(folder / f"{index:04d}.png", np.clip(made.morph.render(), 0, 1))
     return folder, float(np.mean(folds))

@@ -14,7 +14,7 @@ from morphspace.model.model import MorphModel
 from morphspace.synthetic.clips import Truth, make_actors, read_truth
 from morphspace.synthetic.drawn import drawn_actor
 from morphspace.synthetic.parameters import Expression, Identity
-from morphspace.transfer.mimicry import METHODS, mimic, offset_of
+from morphspace.transfer.mimicry import METHODS, mimic
 
 SEED = 21
 TRAINED = 100  # frames of each actor
@@ -55,7 +55,7 @@ def mimicry_drawn(work: Path) -> None:
             continue
         tell(f"mimicry-drawn: {method}")
         to_target = mimic(models[0], models[1], method)
-        made = [to_target(offset_of(models[0], models[0].training.values[index])) for index in driven]
+        made = [to_target(models[0].offset(models[0].training.values[index])) for index in driven]
         loadings = np.array([one.loadings for one in made])
         pictures = [one.morph.render() for one in made]
         rows.append(_row(method, models[1], answers, pictures, read(loadings), asked))

@@ -23,11 +23,10 @@ from tables import at_most, interleaved, milliseconds, print_table, ratio, tell
 
 from morphspace.face.mesh import FacePoints
 from morphspace.grid import warp
-from morphspace.model.morph import morph_of, resource, vector_of
+from morphspace.model.morph import morph_of, resource
 from morphspace.steps import in_order, result_of
 from morphspace.transfer.driver import UsedModel, clip_driver
 from morphspace.transfer.mimicry import METHODS, mimic
-from morphspace.transfer.probable import InnerProducts
 from morphspace.transfer.quality import reach_of
 from morphspace.verbs import mimic as verb
 
@@ -66,12 +65,12 @@ def mimicry_speed(data: Path, work: Path, rounds: int) -> None:
     found = look(picture)
     aligned = source.align(picture, name, found).image
     offset = driver.offset(name, picture, found)
-    read = InnerProducts(source, source.basis.weight)
-    loadings = read.with_offset(vector_of(offset.texture, offset.displacement))
+    read = source.basis.inner_products()
+    loadings = read.with_offset(offset.vector)
 
     def driving_frame(seen: FacePoints | None) -> None:
         taken = driver.offset(name, picture, seen)
-        read.with_offset(vector_of(taken.texture, taken.displacement))
+        read.with_offset(taken.vector)
 
     field = flow(aligned, None).displacement
     x, y = warp.positions(field)
@@ -82,7 +81,7 @@ def mimicry_speed(data: Path, work: Path, rounds: int) -> None:
         "align": lambda: source.align(picture, name, found),
         "align, alone": lambda: source.align(picture, name),
         "take apart": lambda: morph_of(aligned, resource(field, source.mean_inverse), ""),
-        "loadings": lambda: read.with_offset(vector_of(offset.texture, offset.displacement)),
+        "loadings": lambda: read.with_offset(offset.vector),
         "driving frame": lambda: driving_frame(found),
         "driving frame, alone": lambda: driving_frame(None),
         "encode": lambda: source.encode(picture),
@@ -101,7 +100,7 @@ def mimicry_speed(data: Path, work: Path, rounds: int) -> None:
     made = mimic(source, target)(offset)
     reach = reach_of(source, target, 1.0)
     works["render"] = made.morph.render
-    works["judged"] = lambda: reach(offset, made, loadings)
+    works["judged"] = lambda: reach(offset, made.morph, made.loadings, loadings)
     streams = {name: works.pop(name) for name in list(works) if name.endswith("in a stream")}
     with one_thread():
         seconds = interleaved(works, rounds, time.process_time)

@@ -22,7 +22,7 @@ from morphspace.io.colour import codes_of
 from morphspace.linear.pca import Basis, fit_basis
 from morphspace.linear.rows import RowArray
 from morphspace.model.model import Loadings, MorphModel, inner_product, load_model
-from morphspace.model.morph import Morph, parts_of
+from morphspace.model.morph import Morph
 
 WIDTH, HEIGHT = 200, 240
 FACES, COMPONENTS = 300, 100  # of the PCA
@@ -142,7 +142,7 @@ def drawn_model() -> MorphModel:
     components = rng.standard_normal((COMPONENTS, NUMBERS), np.float32) / np.float32(np.sqrt(NUMBERS))
     variances = 10.0 * 0.95 ** np.arange(COMPONENTS)
     texture = smooth_noise(rng, 3) * np.float32(0.2) + np.float32(0.5)
-    mean = Morph(drawn_field(1.0), texture, DRAWN_ID)
+    mean = Morph.of(texture, drawn_field(1.0), DRAWN_ID)
     still = np.zeros((HEIGHT, WIDTH, 2), np.float32)
     basis = Basis(components, variances, inner_product(mask, WARP_WEIGHT), 0.0)
     loadings = rng.standard_normal((FACES, COMPONENTS)) * np.sqrt(variances)
@@ -176,8 +176,8 @@ def render(rounds: int, work: Path) -> None:
     flat = in_memory.components.reshape(-1)
     middle = flat.size // 2
     ones = np.ones(NUMBERS, np.float32)
-    mean = model.mean_vector
-    morph = Morph(drawn_field(3.0), model.mean.texture, DRAWN_ID)
+    mean = model.mean.vector
+    morph = Morph.of(model.mean.texture, drawn_field(3.0), DRAWN_ID)
     inverse = warp.invert(morph.displacement)
     image = morph.render()
     few = in_memory.truncate(FIRST)
@@ -252,8 +252,7 @@ def render(rounds: int, work: Path) -> None:
 
 
 def _drawn(basis: Basis, mean: AnyArray, loadings: AnyArray) -> AnyArray:
-    texture, displacement = parts_of(mean + basis.expand(loadings), HEIGHT, WIDTH)
-    return codes_of(warp.render(texture, displacement), 8)[0]
+    return codes_of(Morph(mean + basis.expand(loadings), (HEIGHT, WIDTH), DRAWN_ID).render(), 8)[0]
 
 
 def open_model(rounds: int, work: Path) -> None:

@@ -13,7 +13,7 @@ from morphspace.grid import warp
 from morphspace.linear.pca import fit_basis
 from morphspace.linear.rows import RowArray
 from morphspace.model.model import Loadings, MorphModel, inner_product, model_digest
-from morphspace.model.morph import Morph, parts_of, vector_of
+from morphspace.model.morph import Morph
 
 HEIGHT, WIDTH = 72, 60
 MOUTH_ROW = 50  # the slit lies between this row and the next
@@ -127,14 +127,13 @@ def model():
     amounts -= amounts.mean(axis=0)
     shade = (textured(HEIGHT, WIDTH, seed=9, sd_px=10.0) - 0.5) * 2
     opening, smile = expression(1.0, 0.0), expression(0.0, 1.0)
-    rows = np.stack([vector_of(neutral + c * shade, a * opening + b * smile) for a, b, c in amounts]).astype(
-        np.float32
+    rows = np.stack(
+        [Morph.of(neutral + c * shade, a * opening + b * smile, "").vector for a, b, c in amounts]
     )
     mask = face_mask(HEIGHT, WIDTH)
     warp_weight = 0.1
     mean, basis, loadings = fit_basis(RowArray(rows), inner_product(mask, warp_weight), 10)
-    texture, displacement = parts_of(mean, HEIGHT, WIDTH)
-    mean_morph = Morph(displacement, texture, "d2a11f0123456789")
+    mean_morph = Morph(mean, (HEIGHT, WIDTH), "d2a11f0123456789")
     provenance = {
         "identity": "drawn",
         "licence": "CC0",

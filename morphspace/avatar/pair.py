@@ -26,7 +26,7 @@ from morphspace.linear.pca import fit_basis
 from morphspace.linear.rows import RowArray
 from morphspace.model.keypoints import landmarks_of, lip_of, required_faceframe
 from morphspace.model.model import Loadings, MorphModel, inner_product, model_digest
-from morphspace.model.morph import Morph, invert_mean_shape, parts_of, resource, vector_of
+from morphspace.model.morph import Morph, invert_mean_shape, resource
 from morphspace.storage import digest_of_array, digest_of_json
 
 POINT_DIGITS = 2  # of a px, as `keypoints --auto` writes them
@@ -78,13 +78,12 @@ def pair_model(
     height, width = home.mask.shape
     rows = np.stack(
         [
-            vector_of(
-                warp.sample(np.array(model.mean.texture), warp.compose(across, to_home)),
-                resource(field, to_home),
-            )
+            Morph.of(
+                warp.sample(model.mean.texture, warp.compose(across, to_home)), resource(field, to_home), ""
+            ).vector
             for model, across, field in zip(models, common.fields, fields, strict=True)
         ]
-    ).astype(np.float32)
+    )
     mask = np.clip(warp.sample_field(common.mask, to_home), 0, 1).astype(np.float32)
     weight = float(np.sqrt(home.warp_weight * other.warp_weight))
     mean, basis, loadings = fit_basis(RowArray(rows), inner_product(mask, weight), 1)
@@ -92,9 +91,11 @@ def pair_model(
         raise BadInput(
             f"the mean faces of {home.identity} and {other.identity} do not differ: give two that do"
         )
-    texture, displacement = parts_of(mean, height, width)
-    reference_id = digest_of_json([digest_of_array(texture), digest_of_array(displacement)])[:16]
-    mean_morph = Morph(displacement, texture, reference_id)
+    halves = Morph(mean, (height, width), "")
+    reference_id = digest_of_json([digest_of_array(halves.texture), digest_of_array(halves.displacement)])[
+        :16
+    ]
+    mean_morph = Morph(mean, (height, width), reference_id)
     reference = np.clip(mean_morph.render(), 0, 1)
     faceframe = required_faceframe(home).moved(warp.move_points(mean_field, required_faceframe(home).points))
     labels = labels_of(models, keys)

@@ -21,8 +21,8 @@ from morphspace.model.keypoints import affine_between_models, required_faceframe
 from morphspace.model.landmarks import LandmarkRegression
 from morphspace.model.model import MorphModel
 from morphspace.model.morph import Morph, MorphOffset
-from morphspace.transfer.mimicry import WITH_REST, Method, Mimicry, auto_gain, mimic, offset_of
-from morphspace.transfer.neutral import automatic_recentring
+from morphspace.transfer.mimicry import WITH_RESIDUAL, Method, Mimicry, auto_gain, mimic
+from morphspace.transfer.neutral import Neutral, neutral_of
 from morphspace.transfer.quality import reach_of
 
 MOST_GAIN = 1.3  # above it a model that cannot follow is pushed into faces it does not know
@@ -81,7 +81,7 @@ class Cast:
         """Give the version of each identity of training frame `frame` of `source`."""
         model, original = self.models[source], self.originals[source]
         loadings = np.array(model.training.values[frame], np.float64)
-        offset = offset_of(model, loadings) if original is None else original.morph(frame) - model.mean
+        offset = model.offset(loadings) if original is None else original.morph(frame) - model.mean
         return [show(loadings, offset) for show in shows]
 
 
@@ -90,21 +90,18 @@ def _as_it_is(model: MorphModel) -> Show:
 
 
 def _projected(source: MorphModel, target: MorphModel, method: Method, max_sd: float) -> Show:
-    origin = automatic_recentring(source, target)
-    gain = min(MOST_GAIN, auto_gain(source, target, method, origin=origin)) if method in WITH_REST else 1.0
-    make = mimic(source, target, method, gain=gain, max_sd=max_sd, origin=origin)
-    rest = None
-    if origin is not None:
-        rest = offset_of(source, origin.source), offset_of(target, origin.target)
-    reach = reach_of(source, target, 1.0, rest)  # the motion that was made, not what the gain makes of it
-    at_rest = np.zeros(source.rank) if origin is None else origin.source
-    shown_at_rest = np.zeros(target.rank) if origin is None else origin.target
-    gaps = Gaps(source, target, at_rest, shown_at_rest) if _know_landmarks(source, target) else None
+    neutral = neutral_of(source, target)
+    gain = 1.0
+    if method in WITH_RESIDUAL:
+        gain = min(MOST_GAIN, auto_gain(source, target, method, neutral=neutral))
+    make = mimic(source, target, method, gain=gain, max_sd=max_sd, neutral=neutral)
+    reach = reach_of(source, target, 1.0, neutral)  # the motion that was made, not what the gain makes of it
+    gaps = Gaps(source, target, neutral) if _know_landmarks(source, target) else None
 
     def show(loadings: LoadingVector, offset: MorphOffset) -> Version:
         made: Mimicry = make(offset)
         factors = [
-            falling(reach(offset, made).missing_motion, MISSING),
+            falling(reach(offset, made.morph, made.loadings, loadings).missing_motion, MISSING),
             falling(made.quality.length_sd, LENGTH_SD),
         ]
         if gaps is not None:
@@ -133,13 +130,12 @@ def falling(value: float, limits: tuple[float, float]) -> float:
 class Gaps:
     """How far lips and lids stand open, asked and shown, in eye distances of the target.
 
-    Resting faces differ in how far they stand open, so changes from rest are compared.
+    Neutral faces differ in how far they stand open, so changes from neutral are compared.
     """
 
     source: MorphModel
     target: MorphModel
-    source_rest: LoadingVector
-    target_rest: LoadingVector
+    neutral: Neutral
     linear: AnyArray = field(init=False)
     eyes_px: float = field(init=False)
     most_px: float = field(init=False)
@@ -156,13 +152,12 @@ class Gaps:
 
         `loadings` (k_A,) of the source's face, `shown` (k_B,) of the target's; both in eye distances.
         """
-        asked = self._of(self.source, loadings, self.linear) - self._of(
-            self.source, self.source_rest, self.linear
-        )
-        at_rest = self._of(self.target, self.target_rest)
-        made = self._of(self.target, shown) - at_rest
+        neutral = self._of(self.target, self.neutral.target)
+        asked = self._of(self.source, loadings, self.linear)
+        asked = asked - self._of(self.source, self.neutral.source, self.linear)
+        made = self._of(self.target, shown) - neutral
         misfit = np.abs(asked - made).max()
-        return float(misfit) / self.eyes_px, float(asked[0] + at_rest[0] - self.most_px) / self.eyes_px
+        return float(misfit) / self.eyes_px, float(asked[0] + neutral[0] - self.most_px) / self.eyes_px
 
     def _of(self, model: MorphModel, loadings: LoadingVector, linear: AnyArray | None = None) -> AnyArray:
         """Give the gaps (3,) px of the inner lips and of both pairs of lids in a face of a model."""

@@ -18,9 +18,9 @@ from morphspace.arrays import AnyArray, LoadingVector, Mask
 from morphspace.errors import BadInput
 from morphspace.imitation import masked_basis
 from morphspace.model.model import MorphModel, inner_product, load_model
-from morphspace.model.morph import vector_of
 from morphspace.storage import digest_of_file
-from morphspace.transfer.mimicry import Method, Passage, mimic, offset_of
+from morphspace.transfer.mimicry import Method, mimic
+from morphspace.transfer.projection import Projection
 
 METHOD: Method = (
     "map"  # the most probable face of the stimulus: of all ways the closest to it, and it needs no points
@@ -65,12 +65,11 @@ def _carry(
 ) -> Callable[[AnyArray], LoadingVector]:
     if share is None:
         whole = mimic(imitator, stimulus, METHOD, max_sd=np.inf)
-        return lambda loadings: whole(offset_of(imitator, loadings)).loadings
-    passage = Passage(imitator, stimulus)
-    part = masked_basis(stimulus.basis, inner_product(share * passage.seen, 1.0))
+        return lambda loadings: whole(imitator.offset(loadings)).loadings
+    projection = Projection(imitator, stimulus)
+    part = masked_basis(stimulus.basis, inner_product(share * projection.seen, 1.0))
 
     def seen(loadings: AnyArray) -> LoadingVector:
-        carried = passage.carried(offset_of(imitator, loadings))
-        return part.project(vector_of(carried.texture, carried.displacement))
+        return part.mean(projection.carried(imitator.offset(loadings)).vector)
 
     return seen

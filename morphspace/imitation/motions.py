@@ -15,16 +15,16 @@ import numpy as np
 from morphspace.arrays import AnyArray, Image, LoadingTable, LoadingVector, Mask
 from morphspace.errors import BadInput, ReferenceMismatch
 from morphspace.face.regions import WHOLE
-from morphspace.imitation import MaskedBasis, masked_basis
+from morphspace.imitation import masked_basis
 from morphspace.imitation.imitator import Imitator
 from morphspace.imitation.shape import LEAST_FRAMES, resampled
 from morphspace.io.framing import FramedClip
 from morphspace.io.images import read_mask
 from morphspace.io.tables import read_loadings_table
+from morphspace.linear.posterior import Posterior
 from morphspace.model.encode import STRANGE, encoded_frames, energy_outside, framed_for, notes_on_enlarging
 from morphspace.model.keypoints import region_of
 from morphspace.model.model import MorphModel, inner_product
-from morphspace.model.morph import vector_of
 from morphspace.steps import Step, Steps, in_order
 from morphspace.stimuli.table_checks import check_reach
 from morphspace.storage import digest_of_file
@@ -78,7 +78,7 @@ def share_of(model: MorphModel, mask: Path | None, region: str) -> Mask | None:
     return share
 
 
-def part_of(model: MorphModel, share: Mask | None) -> MaskedBasis | None:
+def part_of(model: MorphModel, share: Mask | None) -> Posterior | None:
     """Give the basis seen through a part of the face; None where all of it is measured."""
     return None if share is None else masked_basis(model.basis, inner_product(share, 1.0))
 
@@ -163,7 +163,7 @@ def _other_table(path: Path, named: object, model: MorphModel, stimulus: MorphMo
     return f"{path} belongs to model {named}, --imitator is {model.model_id} ({model.identity}): give its own model"
 
 
-def measured(source: Motion, model: MorphModel, part: MaskedBasis | None) -> Steps[Motion]:
+def measured(source: Motion, model: MorphModel, part: Posterior | None) -> Steps[Motion]:
     """Give the sequence with its loadings, of the whole face or of the part.
 
     A part is projected and not fitted to the picture besides: on few pixels of another face, a fit follows the skin.
@@ -174,7 +174,7 @@ def measured(source: Motion, model: MorphModel, part: MaskedBasis | None) -> Ste
     if source.clip is None:
         if part is None:
             return source
-        return replace(source, loadings_sd=part.seen(source.loadings_sd * model.sd) / model.sd)
+        return replace(source, loadings_sd=part.mean_of_faces(source.loadings_sd * model.sd) / model.sd)
     rows: list[AnyArray] = []
     outside: list[float] = []
     for loadings, left in _read(source.clip, model, part):
@@ -185,7 +185,7 @@ def measured(source: Motion, model: MorphModel, part: MaskedBasis | None) -> Ste
 
 
 def _read(
-    clip: FramedClip, model: MorphModel, part: MaskedBasis | None
+    clip: FramedClip, model: MorphModel, part: Posterior | None
 ) -> Iterator[tuple[LoadingVector, float]]:
     """Give for each frame its loadings (k,), and the energy of what the model cannot show of it, in its variances."""
     if part is None:
@@ -197,7 +197,7 @@ def _read(
     def project(item: tuple[str, Image]) -> tuple[LoadingVector, float]:
         name, image = item
         offset = model.morph_of(model.align(image, name).image, flow) - model.mean
-        return part.project(vector_of(offset.texture, offset.displacement)), energy_outside(offset, model)
+        return part.mean(offset.vector), energy_outside(offset, model)
 
     indices = list(range(len(clip.names)))
     yield from in_order(project, zip(clip.names, clip.images(indices), strict=True))

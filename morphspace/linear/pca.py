@@ -11,10 +11,11 @@ does not decide what the components are, yet each component says how that column
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
-from morphspace.arrays import AnyArray, LoadingTable, Rows
+from morphspace.arrays import AnyArray, LoadingTable, LoadingVector, Rows
 from morphspace.errors import BadInput
 from morphspace.linear.rows import ColumnBlocks, column_ranges
 
@@ -57,8 +58,15 @@ class Basis:
         return kept / total if total > 0 else 1.0
 
     def project(self, offsets: AnyArray) -> LoadingTable:
-        """Give the loadings of mean-relative vectors (..., d): inner products with each component, (..., k)."""
+        """Give the loadings of mean-relative vectors (..., d): inner products with each component, (..., k).
+
+        Of many faces, one after the other, `inner_products` are faster.
+        """
         return np.asarray((offsets * self.weight) @ self.components.T, np.float64)
+
+    def inner_products(self) -> InnerProducts:
+        """Give what takes the inner products with each component, for many faces."""
+        return InnerProducts(self.components, self.weight)
 
     def expand(self, loadings: AnyArray, columns: slice = ALL) -> AnyArray:
         """Give the mean-relative vectors (..., d) float32 of loadings (..., k): Nagle's R = P l.
@@ -82,6 +90,43 @@ class Basis:
             self.weight,
             float(left_out / effective),
         )
+
+
+@dataclass(frozen=True, eq=False)
+class InnerProducts:
+    """The inner products of components P (k, d) with offsets r (d,), where a weight C (d,) says what counts: P C r.
+
+    Many pixels lie outside every mask. The components at the others are copied once, which halves what each face
+    reads.
+    """
+
+    components: Rows
+    weight: AnyArray
+
+    @cached_property
+    def places(self) -> AnyArray:
+        """Where something counts, (n,)."""
+        return np.flatnonzero(self.weight)
+
+    @cached_property
+    def weighted(self) -> AnyArray:
+        """P C there: (k, n) float32."""
+        weighted = np.ascontiguousarray(self.components[:, self.places], np.float32)
+        weighted *= self.weight[self.places]
+        return weighted
+
+    def with_offset(self, offset: AnyArray) -> LoadingVector:
+        """Give P C r (k,) of a mean-relative vector (d,)."""
+        return np.asarray(self.weighted @ np.take(offset, self.places), np.float64)
+
+    def gram(self) -> AnyArray:
+        """Give P C P' (k, k), summed over blocks of columns in float64."""
+        total = np.zeros((len(self.components), len(self.components)))
+        for start, stop in column_ranges(2 * len(self.components), 0, len(self.places)):
+            places = self.places[start:stop]
+            block = np.asarray(self.components[:, places], np.float64)
+            total += (block * self.weight[places]) @ block.T
+        return total
 
 
 def mean_row(rows: ColumnBlocks) -> AnyArray:

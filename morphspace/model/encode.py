@@ -17,7 +17,7 @@ from morphspace.io.clips import open_clip
 from morphspace.io.framing import MIN_SIDE_PX, FramedClip, Framing
 from morphspace.io.stimulus_sidecars import essentials_in
 from morphspace.model.model import Loadings, MorphModel
-from morphspace.model.morph import Morph, MorphOffset, vector_of
+from morphspace.model.morph import Morph, MorphOffset
 from morphspace.steps import in_order
 
 # Two real clips made smaller, read by models of 200 px width, first ten loadings against those of the full frames:
@@ -124,7 +124,7 @@ def energy_outside(offset: MorphOffset, model: MorphModel, inside: LoadingVector
     read from it where None.
     """
     basis = model.basis
-    values = vector_of(offset.texture, offset.displacement)
+    values = offset.vector
     if inside is None:
         inside = basis.project(values)
     whole = float((basis.weight * values * values).sum(dtype=np.float64))

@@ -18,6 +18,7 @@ import numpy as np
 from morphspace.arrays import AnyArray, Displacement, Image, LoadingVector, Mask
 from morphspace.grid import warp
 from morphspace.linear.pca import Basis
+from morphspace.model.morph import Morph, displacement_columns, texture_columns
 
 STEPS = 12  # at most; most faces stand still after three or four
 STILL = 1e-3  # a step that lowers the sum by less than this share is the last
@@ -29,45 +30,28 @@ SCHARR_SUM = 32.0  # makes the Scharr kernel a derivative per px
 
 
 @dataclass(frozen=True, eq=False)
-class Fit:
-    """Loadings (k,) and the error before and after: root mean square colour difference inside the mask."""
-
-    loadings: LoadingVector
-    start_error: float
-    error: float
-
-
-def fit_loadings(
-    image: Image, mean: AnyArray, basis: Basis, mask: Mask, start: LoadingVector, *, steps: int = STEPS
-) -> Fit:
-    """Refine loadings once; see `Fitter`, which does so for many images."""
-    return Fitter(mean, basis, mask).fit(image, start, steps=steps)
-
-
-@dataclass(frozen=True, eq=False)
 class _State:
-    """The model at some loadings: displacement (h, w, 2), residual (m, 3), weight (m,), cost and error."""
+    """The model at some loadings: displacement (h, w, 2), residual (3, m), weight (m,), and the sum."""
 
     displacement: Displacement
     residual: AnyArray
     weight: AnyArray
     cost: float
-    error: float
 
 
 @dataclass(frozen=True, eq=False)
 class Fitter:
     """Refines loadings so that the rendered face comes closest to an aligned image inside the mask.
 
-    `mean` (5 h w,) and `basis` (k, 5 h w) are in the order of `morph.vector_of`; `mask` (h, w). The components of the
-    m pixels inside it are copied once.
+    `mean` is the model's mean face, `basis` (k, 5 h w) its components, `mask` (h, w). The components of the m pixels
+    inside it are copied once.
     """
 
-    mean: AnyArray
+    mean: Morph
     basis: Basis
     mask: Mask
 
-    def fit(self, image: Image, start: LoadingVector, *, steps: int = STEPS) -> Fit:
+    def fit(self, image: Image, start: LoadingVector, *, steps: int = STEPS) -> LoadingVector:
         """Minimise sum_p A(p) mask(p) |I(p + u(p)) - T(p)|^2 + noise * sum_j l_j^2 / variance_j.
 
         A is the area of p in the picture; image (h, w, 3); start (k,) loadings, usually the projection. How the
@@ -78,7 +62,6 @@ class Fitter:
         best = np.array(start, np.float64)
         read = warp.spline_reader([image[..., channel] for channel in range(3)])
         state = self._at(best, read)
-        start_state = state
         slopes = [cv2.Scharr(image, cv2.CV_32F, *axes) / np.float32(SCHARR_SUM) for axes in ((1, 0), (0, 1))]
         for _ in range(steps if self.basis.rank else 0):
             along = self._along(slopes, state)
@@ -93,7 +76,7 @@ class Fitter:
             best, state = best + shrink * step, trial
             if is_last:
                 break
-        return Fit(best, start_state.error, state.error)
+        return best
 
     @cached_property
     def _inside(self) -> AnyArray:
@@ -102,12 +85,12 @@ class Fitter:
     @cached_property
     def _textures(self) -> AnyArray:
         """The components' textures inside the mask, (k, 3 m), colour by colour."""
-        return self._of_inside(slice(0, 3 * self.mask.size), 3)
+        return self._of_inside(texture_columns(self.mask.shape), 3)
 
     @cached_property
     def _displacements(self) -> AnyArray:
         """The components' displacements inside the mask, (k, 2 m), right and then down."""
-        return self._of_inside(slice(3 * self.mask.size, None), 2)
+        return self._of_inside(displacement_columns(self.mask.shape), 2)
 
     def _of_inside(self, part: slice, channels: int) -> AnyArray:
         planes = self.basis.components[:, part].reshape(self.basis.rank, self.mask.size, channels)
@@ -123,9 +106,8 @@ class Fitter:
         return np.ascontiguousarray(picture.reshape(self.mask.size, -1)[self._inside].T)
 
     def _at(self, loadings: LoadingVector, read: Callable[[AnyArray, AnyArray], AnyArray]) -> _State:
-        colours = 3 * self.mask.size
-        moved = self.mean[colours:] + self.basis.expand(loadings, slice(colours, None))
-        displacement = moved.reshape(*self.mask.shape, 2)
+        moved = self.basis.expand(loadings, displacement_columns(self.mask.shape))
+        displacement = self.mean.displacement + moved.reshape(*self.mask.shape, 2)
         residual = read(*warp.positions(displacement)).reshape(3, -1)[:, self._inside]
         residual -= self._mean_texture
         residual -= (np.asarray(loadings, np.float32) @ self._textures).reshape(3, -1)
@@ -133,12 +115,11 @@ class Fitter:
         weight = (self.mask * np.clip(area, *AREA_RANGE)).reshape(-1)[self._inside]
         square = float((weight * residual * residual).sum(dtype=np.float64))
         cost = square + float((self._precision * loadings * loadings).sum())
-        total = max(float(weight.sum(dtype=np.float64)), 1.0)
-        return _State(displacement, residual, weight, cost, float(np.sqrt(square / total / 3)))
+        return _State(displacement, residual, weight, cost)
 
     @cached_property
     def _mean_texture(self) -> AnyArray:
-        return self._planes(self.mean[: 3 * self.mask.size].reshape(*self.mask.shape, 3))
+        return self._planes(self.mean.texture)
 
     def _along(self, slopes: list[AnyArray], state: _State) -> tuple[AnyArray, AnyArray]:
         """Give the picture's slopes to the right and down where the face lies, (3, m) each."""

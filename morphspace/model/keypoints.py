@@ -288,6 +288,5 @@ def with_detected(model: MorphModel, found: DetectedFaceframe) -> MorphModel:
 
 def moved_by_components(model: MorphModel, points: Points) -> AnyArray:
     """Give how far one unit of each component moves the points (n, 2) px of the mean face: (k, n, 2) px."""
-    height, width = model.mask.shape
-    fields = model.basis.components[:, 3 * height * width :].reshape(model.rank, height, width, 2)
+    fields = model.component_displacements
     return np.array([warp.move_points(np.ascontiguousarray(field), points) - points for field in fields])

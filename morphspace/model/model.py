@@ -27,7 +27,14 @@ from morphspace.linear.pca import Basis
 from morphspace.model.file import FORMAT, FORMAT_VERSION, content_digest, read_model_file
 from morphspace.model.fit import Fitter
 from morphspace.model.landmarks import LandmarkRegression
-from morphspace.model.morph import Morph, MorphOffset, morph_of, parts_of, resource, vector_of
+from morphspace.model.morph import (
+    Morph,
+    MorphOffset,
+    displacement_columns,
+    morph_of,
+    resource,
+    texture_columns,
+)
 from morphspace.storage import digest_of_array, digest_of_json, write_container
 
 
@@ -59,7 +66,7 @@ class Loadings:
 class MorphModel:
     """A controllable face.
 
-    `mean` Morph | `basis` on vectors (5 h w,) in the order of `morph.vector_of` | `warp_weight` s, colour per px |
+    `mean` Morph | `basis` on vectors (5 h w,) in the order of `Morph.vector` | `warp_weight` s, colour per px |
     `mask` (h, w) | `reference` (h, w, 3), the image all flow starts from | `mean_inverse` (h, w, 2) px, from the mean
     face to the reference | `faceframe` on the mean face, or None | `training` Loadings | `registration` and `flow`, by
     name, as the build used them | `provenance`, a JSON document: identity, settings, versions, digests, consent |
@@ -106,9 +113,16 @@ class MorphModel:
         return np.sqrt(self.basis.variances)
 
     @property
-    def mean_vector(self) -> AnyArray:
-        """The mean morph as a vector (5 h w,)."""
-        return vector_of(self.mean.texture, self.mean.displacement)
+    def component_textures(self) -> AnyArray:
+        """The change of colour (k, h, w, 3) that one unit of each component makes, a view."""
+        columns = texture_columns(self.mean.shape)
+        return self.basis.components[:, columns].reshape(self.rank, *self.mean.shape, 3)
+
+    @property
+    def component_displacements(self) -> AnyArray:
+        """The displacement (k, h, w, 2) px that one unit of each component makes, a view."""
+        columns = displacement_columns(self.mean.shape)
+        return self.basis.components[:, columns].reshape(self.rank, *self.mean.shape, 2)
 
     @cached_property
     def flow_from_reference(self) -> FlowFunction:
@@ -146,8 +160,7 @@ class MorphModel:
 
     def project(self, morph: Morph) -> LoadingVector:
         """Give the loadings (k,) of a morph: inner products of its offset with the components (Nagle section 3.3)."""
-        offset = morph - self.mean
-        return self.basis.project(vector_of(offset.texture, offset.displacement))
+        return self.basis.project((morph - self.mean).vector)
 
     def encode(self, image: Image, *, name: str = "image") -> Loadings:
         """Give the loadings of an image (h, w, 3) of the model's size: align, project, fit to the picture."""
@@ -158,24 +171,41 @@ class MorphModel:
         return self.fit(frame, self.morph_of(frame.image))
 
     def fit(self, frame: Frame, morph: Morph) -> Loadings:
-        """Give the loadings of an aligned frame and its morph: the projection, refined by `fitting.Fitter`."""
-        fit = self._fitter.fit(frame.image, self.project(morph))
-        return Loadings(fit.loadings[None], (frame.name,), self.model_id)
+        """Give the loadings of an aligned frame and its morph: the projection, refined by `fit.Fitter`."""
+        fitted = self._fitter.fit(frame.image, self.project(morph))
+        return Loadings(fitted[None], (frame.name,), self.model_id)
 
     @cached_property
     def _fitter(self) -> Fitter:
-        return Fitter(self.mean_vector, self.basis, self.mask)
+        return Fitter(self.mean, self.basis, self.mask)
 
     def expand(self, loadings: AnyArray) -> Morph:
         """Give the morph of loadings (k,), or of the first so many: mean + P l (Nagle section 2, steps 1 and 2)."""
+        return self.mean + self.offset(loadings)
+
+    def offset(self, loadings: AnyArray) -> MorphOffset:
+        """Give the difference from the mean of loadings (k,), or of the first so many: P l. Raises `BadInput`."""
+        basis, values = self._shown_by(loadings)
+        return MorphOffset(basis.expand(values), self.mean.shape, self.mean.reference_id)
+
+    def texture_offset(self, loadings: AnyArray) -> Image:
+        """Give the texture (h, w, 3) of `offset` alone."""
+        basis, values = self._shown_by(loadings)
+        return basis.expand(values, texture_columns(self.mean.shape)).reshape(*self.mean.shape, 3)
+
+    def displacement_offset(self, loadings: AnyArray) -> Displacement:
+        """Give the displacement (h, w, 2) px of `offset` alone."""
+        basis, values = self._shown_by(loadings)
+        return basis.expand(values, displacement_columns(self.mean.shape)).reshape(*self.mean.shape, 2)
+
+    def _shown_by(self, loadings: AnyArray) -> tuple[Basis, LoadingVector]:
+        """Give loadings (k,) that were checked, and the basis cut to as many components."""
         values = np.asarray(loadings, np.float64).reshape(-1)
         if len(values) > self.rank or not np.isfinite(values).all():
             raise BadInput(
                 f"{len(values)} loadings do not fit a model of {self.rank} components, or are not finite numbers"
             )
-        basis = self.basis if len(values) == self.rank else self.basis.truncate(len(values))
-        texture, displacement = parts_of(basis.expand(values), *self.mask.shape)
-        return self.mean + MorphOffset(displacement, texture, self.mean.reference_id)
+        return (self.basis if len(values) == self.rank else self.basis.truncate(len(values))), values
 
     def render(self, loadings: AnyArray) -> Image:
         """Give the image (h, w, 3) of loadings (k,), or of the first so many; zeros give the mean face."""
@@ -291,11 +321,11 @@ def points_document(faceframe: FaceFrame | None) -> dict[str, list[float]] | Non
 
 def inner_product(mask: Mask, warp_weight: float) -> AnyArray:
     """Give the weights (5 h w,) of <a, b> = sum mask texture + s^2 sum mask displacement (methods 4)."""
-    weights = np.empty(5 * mask.size, np.float32)
-    column = mask.reshape(-1, 1)
-    weights[: 3 * mask.size].reshape(-1, 3)[:] = column
-    weights[3 * mask.size :].reshape(-1, 2)[:] = column * np.float32(warp_weight**2)
-    return weights
+    height, width = mask.shape
+    column = mask[..., None]
+    texture = np.broadcast_to(column, (height, width, 3))
+    displacement = np.broadcast_to(column * np.float32(warp_weight**2), (height, width, 2))
+    return MorphOffset.of(texture, displacement, "").vector
 
 
 def model_digest(basis: Basis, mean: Morph, provenance: Mapping[str, Any]) -> str:
@@ -325,7 +355,7 @@ def _assembled(arrays: Mapping[str, AnyArray], document: Mapping[str, Any]) -> M
         float(document["discarded_variance"]),
     )
     return MorphModel(
-        mean=Morph(arrays["mean_displacement"], arrays["mean_texture"], reference_id),
+        mean=Morph.of(arrays["mean_texture"], arrays["mean_displacement"], reference_id),
         basis=basis,
         warp_weight=warp_weight,
         mask=mask,

@@ -23,66 +23,157 @@ INVERSE_TOL_PX = 0.01  # m(m^-1(p)) = p, checked when the mean shape is inverted
 
 @dataclass(frozen=True, eq=False)
 class MorphOffset:
-    """A difference between faces: displacement (h, w, 2) px and texture (h, w, 3), on the face `reference_id`."""
+    """A difference between two faces that live on the same mean face.
 
-    displacement: Displacement
-    texture: Image
+    Offsets add, subtract and scale: a gain of 1 is veridical, above 1 a caricature, below 0 an anti-face.
+
+    Parameters
+    ----------
+    vector : (5 h w,) float32
+        Texture (h, w, 3) and then displacement (h, w, 2) px, both row by row. It is kept read-only.
+    shape : (h, w)
+    reference_id : str
+        The mean face.
+
+    Raises
+    ------
+    BadInput
+        Where the length of the vector is not 5 h w.
+    """
+
+    vector: AnyArray
+    shape: tuple[int, int]
     reference_id: str
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "vector", _checked(self.vector, self.shape))
+
+    @classmethod
+    def of(cls, texture: Image, displacement: Displacement, reference_id: str) -> MorphOffset:
+        """Copy a texture (h, w, 3) and a displacement (h, w, 2) px into one offset. Raises `BadInput`."""
+        return cls(_joined(texture, displacement), _shape_of(texture), reference_id)
+
+    @property
+    def texture(self) -> Image:
+        """The change of colour (h, w, 3), a view."""
+        return self.vector[texture_columns(self.shape)].reshape(*self.shape, 3)
+
+    @property
+    def displacement(self) -> Displacement:
+        """The change of the warp (h, w, 2) px, a view."""
+        return self.vector[displacement_columns(self.shape)].reshape(*self.shape, 2)
 
     def __add__(self, other: MorphOffset) -> MorphOffset:
         if not isinstance(other, MorphOffset):
             return NotImplemented
         check_same_reference(self, other)
-        return MorphOffset(
-            self.displacement + other.displacement, self.texture + other.texture, self.reference_id
-        )
+        return MorphOffset(self.vector + other.vector, self.shape, self.reference_id)
 
     def __sub__(self, other: MorphOffset) -> MorphOffset:
-        return self + other * -1.0
+        if not isinstance(other, MorphOffset):
+            return NotImplemented
+        check_same_reference(self, other)
+        return MorphOffset(self.vector - other.vector, self.shape, self.reference_id)
 
     def __mul__(self, gain: float) -> MorphOffset:
-        factor = np.float32(gain)
-        return MorphOffset(self.displacement * factor, self.texture * factor, self.reference_id)
+        return MorphOffset(self.vector * np.float32(gain), self.shape, self.reference_id)
 
     __rmul__ = __mul__
 
 
 @dataclass(frozen=True, eq=False)
 class Morph:
-    """A face: texture (h, w, 3) on the mean face of `reference_id`, and displacement (h, w, 2) px that moves it.
+    """A face: a texture on the mean face, and the displacement that moves it to where the face has it.
 
-    Raises `BadInput` where the two differ in size.
+    The difference of two morphs is a `MorphOffset`; a morph and an offset make a morph; two morphs cannot be added.
+
+    Parameters
+    ----------
+    vector : (5 h w,) float32
+        Texture (h, w, 3) and then displacement (h, w, 2) px, both row by row. It is kept read-only.
+    shape : (h, w)
+    reference_id : str
+        The mean face.
+
+    Raises
+    ------
+    BadInput
+        Where the length of the vector is not 5 h w.
     """
 
-    displacement: Displacement
-    texture: Image
+    vector: AnyArray
+    shape: tuple[int, int]
     reference_id: str
 
     def __post_init__(self) -> None:
-        if self.displacement.shape[:2] != self.texture.shape[:2]:
-            raise BadInput(
-                f"a displacement of {self.displacement.shape[:2]} does not fit a texture of {self.texture.shape[:2]}"
-            )
+        object.__setattr__(self, "vector", _checked(self.vector, self.shape))
+
+    @classmethod
+    def of(cls, texture: Image, displacement: Displacement, reference_id: str) -> Morph:
+        """Copy a texture (h, w, 3) and a displacement (h, w, 2) px into one morph. Raises `BadInput`."""
+        return cls(_joined(texture, displacement), _shape_of(texture), reference_id)
+
+    @property
+    def texture(self) -> Image:
+        """The colours on the mean face (h, w, 3), a view."""
+        return self.vector[texture_columns(self.shape)].reshape(*self.shape, 3)
+
+    @property
+    def displacement(self) -> Displacement:
+        """Where each point of the mean face is sent, relative to itself: (h, w, 2) px, a view."""
+        return self.vector[displacement_columns(self.shape)].reshape(*self.shape, 2)
 
     def __sub__(self, other: Morph) -> MorphOffset:
         if not isinstance(other, Morph):
             return NotImplemented
         check_same_reference(self, other)
-        return MorphOffset(
-            self.displacement - other.displacement, self.texture - other.texture, self.reference_id
-        )
+        return MorphOffset(self.vector - other.vector, self.shape, self.reference_id)
 
     def __add__(self, offset: MorphOffset) -> Morph:
         if not isinstance(offset, MorphOffset):
             return NotImplemented
         check_same_reference(self, offset)
-        return Morph(
-            self.displacement + offset.displacement, self.texture + offset.texture, self.reference_id
-        )
+        return Morph(self.vector + offset.vector, self.shape, self.reference_id)
 
     def render(self) -> Image:
         """Give the image (h, w, 3): the texture put where the warp sends it, by exact rasterisation."""
         return warp.render(self.texture, self.displacement)
+
+
+def texture_columns(shape: tuple[int, int]) -> slice:
+    """Give which numbers of a morph vector (5 h w,) are colours; `shape` is (h, w)."""
+    return slice(0, 3 * shape[0] * shape[1])
+
+
+def displacement_columns(shape: tuple[int, int]) -> slice:
+    """Give which numbers of a morph vector (5 h w,) are displacements; `shape` is (h, w)."""
+    return slice(3 * shape[0] * shape[1], CHANNELS * shape[0] * shape[1])
+
+
+def _checked(vector: AnyArray, shape: tuple[int, int]) -> AnyArray:
+    """Give a read-only view of a vector. Raises `BadInput` where its length is not 5 h w."""
+    height, width = shape
+    if vector.shape != (CHANNELS * height * width,):
+        raise BadInput(
+            f"a morph vector of {vector.shape} does not fit {width}x{height}: {CHANNELS * height * width} expected"
+        )
+    view = np.asarray(vector, np.float32).view()
+    view.flags.writeable = False
+    return view
+
+
+def _joined(texture: Image, displacement: Displacement) -> AnyArray:
+    """Copy both parts into one vector. Raises `BadInput` where they differ in size or are exchanged."""
+    if texture.shape[2:] != (3,) or displacement.shape != (*texture.shape[:2], 2):
+        raise BadInput(
+            f"a displacement of {displacement.shape} does not fit a texture of {texture.shape}: "
+            "(h, w, 2) and (h, w, 3) expected"
+        )
+    return np.concatenate([texture.reshape(-1), displacement.reshape(-1)], dtype=np.float32)
+
+
+def _shape_of(texture: Image) -> tuple[int, int]:
+    return texture.shape[0], texture.shape[1]
 
 
 def check_same_reference(one: Morph | MorphOffset, other: Morph | MorphOffset) -> None:
@@ -96,7 +187,7 @@ def check_same_reference(one: Morph | MorphOffset, other: Morph | MorphOffset) -
 
 def morph_of(image: Image, displacement: Displacement, reference_id: str) -> Morph:
     """Take an aligned image apart: T(p) = I(p + u(p)), by cubic B-spline (methods 3.3)."""
-    return Morph(displacement, warp.sample(image, displacement), reference_id)
+    return Morph.of(warp.sample(image, displacement), displacement, reference_id)
 
 
 def invert_mean_shape(mean_field: Displacement) -> Displacement:
@@ -131,17 +222,6 @@ def resource(field: Displacement, mean_inverse: Displacement) -> Displacement:
     return warp.compose(field, mean_inverse)
 
 
-def vector_of(texture: Image, displacement: Displacement) -> AnyArray:
-    """Give the vector (5 h w,) that models compute with: texture, then displacement, both row by row."""
-    return np.concatenate([texture.reshape(-1), displacement.reshape(-1)])
-
-
-def parts_of(vector: AnyArray, height: int, width: int) -> tuple[Image, Displacement]:
-    """Undo `vector_of`: give the texture (h, w, 3) and the displacement (h, w, 2)."""
-    colours = height * width * 3
-    return vector[:colours].reshape(height, width, 3), vector[colours:].reshape(height, width, 2)
-
-
 def serialise(morph: Morph | MorphOffset) -> AnyArray:
     """Give Nagle's morph vector (5 h w,): column by column over R, then G, then B, then x, then y (section 2)."""
     planes = np.concatenate([morph.texture, morph.displacement], axis=-1)
@@ -150,9 +230,5 @@ def serialise(morph: Morph | MorphOffset) -> AnyArray:
 
 def deserialise(vector: AnyArray, height: int, width: int, reference_id: str) -> Morph:
     """Undo `serialise`. Raises `BadInput` where the vector's length is not 5 h w."""
-    if vector.shape != (CHANNELS * height * width,):
-        raise BadInput(
-            f"a morph vector of {vector.shape} does not fit {width}x{height}: {CHANNELS * height * width} expected"
-        )
-    planes = np.ascontiguousarray(vector.reshape(CHANNELS, width, height).transpose(2, 1, 0), np.float32)
-    return Morph(planes[..., 3:].copy(), planes[..., :3].copy(), reference_id)
+    planes = _checked(vector, (height, width)).reshape(CHANNELS, width, height).transpose(2, 1, 0)
+    return Morph.of(planes[..., :3], planes[..., 3:], reference_id)

@@ -35,7 +35,7 @@ from morphspace.linear.pca import basis_from_gram, gram_matrix, mean_row
 from morphspace.linear.rows import RowFile
 from morphspace.model.keypoints import detect_faceframe, with_detected
 from morphspace.model.model import Loadings, MorphModel, inner_product, model_digest
-from morphspace.model.morph import Morph, invert_mean_shape, morph_of, parts_of, resource
+from morphspace.model.morph import Morph, invert_mean_shape, morph_of, resource
 from morphspace.model.reference import POOL, ReferenceChoice, mouth_contrast, search, shrunk
 from morphspace.model.warp_weight import WeightTrial, best_trial, trial_weights
 from morphspace.model.work_frames import FramePlan, frame_steps, read_aligned, read_work_frame
@@ -172,8 +172,7 @@ def build_steps(
         yield Step("components", 3, 4)
         basis, loadings = basis_from_gram(rows, mean, product, gram, settings.components)
         yield Step("components", 4, 4)
-    texture, displacement = parts_of(mean, height, width)
-    mean_morph = Morph(displacement, texture, reference_id)
+    mean_morph = Morph(mean, (height, width), reference_id)
     full_provenance = {
         **provenance,
         "reference": {"frame": choice.name, "reason": choice.reason, "sha256": digest_of_array(reference)},
@@ -327,7 +326,7 @@ def _morph_pass(
         work = read_work_frame(file)
         flow = work.flow.displacement
         morph = morph_of(work.frame.image, resource(flow, mean_inverse), reference_id)
-        rows.write_row(index, morph.texture, morph.displacement)
+        rows.write_row(index, morph.vector)
         square = (flow * flow).sum(axis=2)
         moved = float(np.sqrt((square * mask).sum() / total))
         confidence = warp.sample_field(work.flow.confidence, mean_inverse)

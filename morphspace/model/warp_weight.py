@@ -14,11 +14,10 @@ from pathlib import Path
 import numpy as np
 
 from morphspace.arrays import AnyArray, Image, Mask
-from morphspace.grid import warp
 from morphspace.linear.pca import combine_rows, gram_matrix, principal_axes
 from morphspace.linear.quality import psnr_db
 from morphspace.linear.rows import ColumnBlocks, RowSubset
-from morphspace.model.morph import parts_of
+from morphspace.model.morph import Morph, texture_columns
 from morphspace.steps import in_order
 
 FACTORS = (1.0, 2.0, 4.0)  # times the weight that gives texture and warp equal variance
@@ -59,7 +58,7 @@ def trial_weights(
     chosen = np.unique(np.linspace(0, rows.shape[0] - 1, min(rows.shape[0], TRIED_FRAMES)).round()).astype(
         np.intp
     )
-    n, colours = len(chosen), 3 * mask.size
+    n, colours = len(chosen), texture_columns(mask.shape).stop
     if n < MIN_FRAMES:
         return ()
     some = RowSubset(rows, chosen)
@@ -79,8 +78,8 @@ def trial_weights(
     images = [load(frames[chosen[index]]) for index in held]
 
     def score(number: int) -> float:
-        texture, displacement = parts_of(vectors[number], *mask.shape)
-        return psnr_db(warp.render(texture, displacement), images[number % len(held)], mask)
+        face = Morph(vectors[number], mask.shape, "held out")
+        return psnr_db(face.render(), images[number % len(held)], mask)
 
     scores = np.reshape(list(in_order(score, range(len(vectors)))), (len(FACTORS), len(held)))
     trials = [

@@ -14,7 +14,7 @@ from morphspace.face.mesh import FacePoints
 from morphspace.model.encode import STRANGE
 from morphspace.model.model import MorphModel
 from morphspace.transfer.driver import Driver
-from morphspace.transfer.neutral import Rest
+from morphspace.transfer.neutral import Neutral
 from morphspace.transfer.quality_table import BEYOND, FOLDS, NO_FACE, OUT_OF_RANGE, TURNED, FrameMade, rounded
 
 LITTLE_KEPT = 0.3  # median share of the motion; below it the target hardly follows
@@ -73,15 +73,15 @@ def advice_of(
     loadings_sd: AnyArray,
     looks: Looks,
     gain: float,
-    rest: Rest,
+    neutral: Neutral,
 ) -> tuple[str, ...]:
     """Give what should be read first, each with what to do about it."""
     strange = _strange_words(source, made)
     return (
         *strange,
-        *(rest.notes(source, target) or _means_words(source, target, looks)),
+        *(neutral.notes(source, target) or _means_words(source, target, looks)),
         *_kept_words(target, made, gain, loadings_sd.shape[1]),
-        *(() if strange else _centre_words(source, target, loadings_sd, rest)),
+        *(() if strange else _centre_words(source, target, loadings_sd, neutral)),
         *_flag_words(target, made),
     )
 
@@ -139,9 +139,9 @@ def _strange_words(source: MorphModel, made: Sequence[FrameMade]) -> tuple[str, 
 
 
 def _centre_words(
-    source: MorphModel, target: MorphModel, loadings_sd: AnyArray, rest: Rest
+    source: MorphModel, target: MorphModel, loadings_sd: AnyArray, neutral: Neutral
 ) -> tuple[str, ...]:
-    if rest.origin is not None:
+    if not neutral.is_means:
         return ()
     mean = loadings_sd.mean(axis=0)
     farthest = int(np.abs(mean).argmax())

@@ -5,6 +5,7 @@ from __future__ import annotations
 import base64
 from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import TypeVar
 
 import cv2
 import numpy as np
@@ -17,9 +18,11 @@ from morphspace.grid import warp
 from morphspace.io.images import jpeg_bytes, png_bytes
 from morphspace.linear.quality import rms_px
 from morphspace.model.model import MorphModel
-from morphspace.model.morph import Morph, parts_of
+from morphspace.model.morph import Morph, MorphOffset
 from morphspace.report.page import markup
 from morphspace.steps import in_order
+
+Face = TypeVar("Face", Morph, MorphOffset)
 
 JPEG_QUALITY = 88  # on faces of this size its errors cannot be seen, and a page stays below a few megabytes
 STRIP_WIDTH_PX = (
@@ -88,28 +91,27 @@ def component_strips(model: MorphModel, count: int) -> Iterator[ComponentStrip]:
     weight = max(float(model.mask.sum()), 1e-12)
 
     def draw(number: int) -> ComponentStrip:
-        vector = model.basis.components[number] * np.float32(model.sd[number])
-        texture, displacement = parts_of(vector, *model.mask.shape)
-        motion = rms_px(displacement, model.mask)
+        component = MorphOffset(model.basis.components[number], model.mean.shape, model.mean.reference_id)
+        moved = component * float(model.sd[number])
+        texture = moved.texture
+        motion = rms_px(moved.displacement, model.mask)
         square = (texture * texture).mean(axis=2)
         colour = float(np.sqrt((square * model.mask).sum(dtype=np.float64) / weight))
-        offset = shrunk_morph(Morph(displacement, texture, model.mean.reference_id))
+        offset = shrunk_morph(moved)
         pictures = []
         for amount in STRIP_AMOUNTS_SD:
             if amount == 0:
                 pictures.append(mean_picture)
                 continue
-            moved = small_mean.displacement + np.float32(amount) * offset.displacement
-            painted = small_mean.texture + np.float32(amount) * offset.texture
-            pictures.append(warp.render(painted, moved))
+            pictures.append((small_mean + offset * amount).render())
         change = np.abs((pictures[-1] - pictures[0]) @ LUMA) * small_mask
         return ComponentStrip(tuple(pictures), motion, colour, change)
 
     return in_order(draw, range(min(count, model.rank)))
 
 
-def shrunk_morph(morph: Morph) -> Morph:
-    """Give a morph at most `STRIP_WIDTH_PX` wide, its displacement in the px of the small picture."""
+def shrunk_morph(morph: Face) -> Face:
+    """Give a morph or an offset at most `STRIP_WIDTH_PX` wide, its displacement in the px of the small picture."""
     height, width = morph.texture.shape[:2]
     if width <= STRIP_WIDTH_PX:
         return morph
@@ -117,7 +119,7 @@ def shrunk_morph(morph: Morph) -> Morph:
     scale = np.array([size[0] / width, size[1] / height], np.float32)
     displacement = cv2.resize(morph.displacement, size, interpolation=cv2.INTER_AREA) * scale
     texture = cv2.resize(morph.texture, size, interpolation=cv2.INTER_AREA)
-    return Morph(displacement, texture, morph.reference_id)
+    return type(morph).of(texture, displacement, morph.reference_id)
 
 
 def _resized(mask: Mask, morph: Morph) -> Mask:

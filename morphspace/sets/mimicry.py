@@ -27,7 +27,6 @@ from morphspace.io.video import write_video
 from morphspace.model.encode import check_components, energy_outside, first_components
 from morphspace.model.keypoints import how_to_learn
 from morphspace.model.model import MorphModel
-from morphspace.model.morph import vector_of
 from morphspace.outcome import versions, write_record
 from morphspace.report import mimic_advice
 from morphspace.report.mimic_page import PAIRS_SHOWN, MimicryResult, mimic_page
@@ -40,17 +39,14 @@ from morphspace.storage import digest_of_file, make_folder, write_text
 from morphspace.transfer.driver import Driver, UsedModel
 from morphspace.transfer.mimicry import (
     METHODS,
-    WITH_REST,
+    WITH_RESIDUAL,
     Method,
     Mimic,
-    Quality,
     auto_gain,
     mimic,
-    offset_of,
 )
-from morphspace.transfer.neutral import AUTOMATIC, Rest, neutral_names, rest_of
-from morphspace.transfer.probable import InnerProducts
-from morphspace.transfer.quality import Reach, ReachOf, reach_of
+from morphspace.transfer.neutral import AUTOMATIC, Neutral, neutral_names, neutral_of
+from morphspace.transfer.quality import Quality, Reach, ReachOf, reach_of
 from morphspace.transfer.quality_table import FaceSeen, FrameMade, made_of, quality_columns, write_quality
 
 BEST = "auto"  # the default: the method that measured best of those the models allow
@@ -116,16 +112,16 @@ def frame_steps(
     A detector that aligns the source's frames too looks at each driving frame once.
     """
     driver, total = work.driver, len(work.pictures)
-    read = InnerProducts(source, source.basis.weight)
+    read = source.basis.inner_products()
     made = {place: one for place in range(total) if (one := work.read(place)) is not None}
     missing = [place for place in range(total) if place not in made]
     if made:
         yield Step("mimic", len(made), total)
     if missing:
         # What they prepare on first use, they prepare here, not in each thread.
-        make(offset_of(source, np.zeros(0)), np.zeros(source.rank))
+        make(source.offset(np.zeros(0)), np.zeros(source.rank))
         if driver.is_pictures:
-            _ = source.flow_from_reference, read.weighed
+            _ = source.flow_from_reference, read.weighted
     anchor = source.anchor if detect is not None and driver.is_pictures else None
     aligns = anchor is not None and detect is not None and anchor.detector.is_same(detect)
 
@@ -134,14 +130,12 @@ def frame_steps(
         found = None if detect is None else detect(driver.picture(given))
         face = None if detect is None else _seen(found, driver)
         offset = driver.offset(driver.names[place], given, found if aligns else None)
-        known = (
-            read.with_offset(vector_of(offset.texture, offset.displacement)) if driver.is_pictures else given
-        )
+        known = read.with_offset(offset.vector) if driver.is_pictures else given
         mimicry = make(offset, known)
         clipped = write_image(work.pictures[place], mimicry.morph.render())
         digest = digest_of_file(work.pictures[place])
         loadings = tuple(mimicry.loadings.tolist())
-        followed = reach(offset, mimicry, known)
+        followed = reach(offset, mimicry.morph, mimicry.loadings, known)
         outside = energy_outside(offset, source, known) if driver.is_pictures else None
         return place, FrameMade(loadings, mimicry.quality, followed, face, outside, clipped, digest)
 
@@ -232,7 +226,7 @@ class MimicSettings:
     components
         The target's first so many; None for all.
     neutral
-        What counts as neutral (`transfer.neutral.rest_of`).
+        The neutral faces of both (`transfer.neutral.neutral_of`).
 
     Raises
     ------
@@ -283,7 +277,7 @@ class _Drive:
     method: Method
     gain: float
     gain_asked: float | Literal["auto"]
-    rest: Rest
+    neutral: Neutral
     make: Mimic
     reach: ReachOf
     notes: tuple[str, ...]
@@ -326,7 +320,7 @@ def written_mimicry(
         "gain_asked": drive.gain_asked,
         "max_sd": asked.max_sd,
         "components": drive.target.rank,
-        "neutral": drive.rest.settings,
+        "neutral": drive.neutral.settings,
         "frames": "clip" if driver.is_pictures else "training",
         "faces_looked_for": looks.detector is not None,
     }
@@ -341,7 +335,9 @@ def written_mimicry(
         *driver.notes,
         *_size_note(source.model, target.model),
         *looks.notes,
-        *mimic_advice.advice_of(source.model, target.model, made, loadings_sd, looks, drive.gain, drive.rest),
+        *mimic_advice.advice_of(
+            source.model, target.model, made, loadings_sd, looks, drive.gain, drive.neutral
+        ),
         *_clipped_note(made, drive.target),
         *_stale_note(folder / MIMIC_FRAMES, pictures),
     )
@@ -377,17 +373,14 @@ def _drive(source: UsedModel, target: UsedModel, asked: MimicSettings) -> _Drive
     """Choose the method, what counts as neutral and the gain, and prepare both models."""
     used, rank_notes = first_components(target.model, asked.components)
     method, method_notes = _method(source, target, asked)
-    rest = rest_of(source.model, used, asked.neutral)
+    neutral = neutral_of(source.model, used, asked.neutral)
     gain_asked = asked.gain
     if gain_asked is None:
-        gain_asked = "auto" if method in WITH_REST else 1.0
-    gain = auto_gain(source.model, used, method, origin=rest.origin) if gain_asked == "auto" else gain_asked
-    make = mimic(source.model, used, method, gain=gain, max_sd=asked.max_sd, origin=rest.origin)
-    resting = None
-    if rest.origin is not None:
-        resting = offset_of(source.model, rest.origin.source), offset_of(used, rest.origin.target)
-    reach = reach_of(source.model, used, gain, resting)
-    return _Drive(used, method, gain, gain_asked, rest, make, reach, (*method_notes, *rank_notes))
+        gain_asked = "auto" if method in WITH_RESIDUAL else 1.0
+    gain = auto_gain(source.model, used, method, neutral=neutral) if gain_asked == "auto" else gain_asked
+    make = mimic(source.model, used, method, gain=gain, max_sd=asked.max_sd, neutral=neutral)
+    reach = reach_of(source.model, used, gain, neutral)
+    return _Drive(used, method, gain, gain_asked, neutral, make, reach, (*method_notes, *rank_notes))
 
 
 def _identified(used: UsedModel) -> dict[str, str]:
@@ -483,12 +476,12 @@ def _settings_shown(
         "target": f"{target.model.identity}, model {target.model.model_id}, {sizes[1]}, {target.path.name}",
         "driven by": f"{driver.name}: {what}, {len(driver.names)} frames",
         "frame rate": rate,
-        "what counts as rest": _rest_shown(told["neutral"]),
+        "neutral faces": _neutral_shown(told["neutral"]),
         "faces looked for": "yes" if told["faces_looked_for"] else "no",
     }
 
 
-def _rest_shown(neutral: dict[str, Any]) -> str:
+def _neutral_shown(neutral: dict[str, Any]) -> str:
     frames = [neutral[f"{role}_frame"] or "the mean" for role in ("source", "target")]
     how = f"--neutral {neutral['asked']}"
     apart = "" if neutral["apart"] is None else f", {neutral['apart']:.1%} of the eye distance apart"

@@ -6,11 +6,11 @@ from collections.abc import Iterable, Iterator
 
 import numpy as np
 
-from morphspace.arrays import AnyArray, Image, LoadingVector, Mask
+from morphspace.arrays import Image, LoadingVector, Mask
 from morphspace.errors import BadInput
 from morphspace.model.keypoints import region_of
 from morphspace.model.model import MorphModel
-from morphspace.model.morph import Morph
+from morphspace.model.morph import Morph, MorphOffset
 from morphspace.steps import in_order
 from morphspace.stimuli.drawing import Drawing
 
@@ -72,9 +72,9 @@ def morph_at(model: MorphModel, drawing: Drawing, row: int, mask: Mask | None) -
         return inside
     outside = model.expand(_loadings(model, drawing.outside_sd[row]))
     share = mask[..., None].astype(np.float32)
-    return Morph(
-        outside.displacement + share * (inside.displacement - outside.displacement),
+    return Morph.of(
         outside.texture + share * (inside.texture - outside.texture),
+        outside.displacement + share * (inside.displacement - outside.displacement),
         inside.reference_id,
     )
 
@@ -82,15 +82,9 @@ def morph_at(model: MorphModel, drawing: Drawing, row: int, mask: Mask | None) -
 def _morph(model: MorphModel, shape_sd: LoadingVector, colour_sd: LoadingVector | None) -> Morph:
     if colour_sd is None:
         return model.expand(_loadings(model, shape_sd))
-    shape, colour = _loadings(model, shape_sd), _loadings(model, colour_sd)
-    basis = model.basis if len(shape) == model.rank else model.basis.truncate(len(shape))
-    height, width = model.mask.shape
-    colours = 3 * height * width
-    texture: AnyArray = basis.expand(colour, slice(0, colours)).reshape(height, width, 3)
-    displacement: AnyArray = basis.expand(shape, slice(colours, None)).reshape(height, width, 2)
-    return Morph(
-        model.mean.displacement + displacement, model.mean.texture + texture, model.mean.reference_id
-    )
+    texture = model.texture_offset(_loadings(model, colour_sd))
+    displacement = model.displacement_offset(_loadings(model, shape_sd))
+    return model.mean + MorphOffset.of(texture, displacement, model.mean.reference_id)
 
 
 def _loadings(model: MorphModel, values_sd: LoadingVector) -> LoadingVector:

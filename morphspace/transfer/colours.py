@@ -22,6 +22,7 @@ from morphspace.face.mesh import LANDMARKS, landmark_places
 from morphspace.linear.simplex import nearest_mixture
 from morphspace.model.keypoints import landmarks_of, moved_by_components, required_faceframe
 from morphspace.model.model import MorphModel
+from morphspace.model.morph import MorphOffset
 
 UPPER_FROM, LOWER_FROM = (
     0.35,
@@ -55,18 +56,17 @@ class Part:
 
 
 @dataclass(frozen=True, eq=False)
-class Texturing:
-    """Gives the colours of faces of `model`. Raises `BadInput` where it has no faceframe."""
+class MixedColours:
+    """The colours of faces of `model`, mixed from its training faces. Raises `BadInput` where it has no faceframe."""
 
     model: MorphModel
 
-    def offset(self, loadings: LoadingVector) -> AnyArray:
-        """Give the mean-relative vector (5 h w,) of a face: its colours mixed, its warp that of the loadings (k,)."""
-        colours = 3 * self.model.mask.size
-        out = np.empty(5 * self.model.mask.size, np.float32)
-        out[:colours] = self.change(loadings).reshape(-1)
-        out[colours:] = self.model.basis.expand(loadings, slice(colours, None))
-        return out
+    def offset(self, loadings: LoadingVector) -> MorphOffset:
+        """Give the difference from the mean of a face: its colours mixed, its warp that of the loadings (k,)."""
+        model = self.model
+        return MorphOffset.of(
+            self.change(loadings), model.displacement_offset(loadings), model.mean.reference_id
+        )
 
     def change(self, loadings: LoadingVector) -> Image:
         """Give the texture (h, w, 3) of the face of loadings (k,), relative to the mean's.
@@ -128,10 +128,10 @@ class Texturing:
     def _part(self, shape: AnyArray, share: Mask) -> Part:
         """Copy the components where the part is: most pixels belong to one part, and are read once."""
         places = np.flatnonzero(share)
-        columns = (3 * places[:, None] + (0, 1, 2)).reshape(-1)
-        colours = np.ascontiguousarray(self.model.basis.components[:, columns], np.float32)
-        colours *= np.repeat(share.reshape(-1)[places], 3)
-        return Part(shape, self.faces @ shape, places, colours)
+        textures = self.model.component_textures.reshape(self.model.rank, -1, 3)
+        colours = np.take(textures, places, axis=1)  # a copy
+        colours *= share.reshape(-1)[places, None]
+        return Part(shape, self.faces @ shape, places, colours.reshape(self.model.rank, -1))
 
 
 def _lower(model: MorphModel) -> Mask:
@@ -192,12 +192,11 @@ def _together(shapes: list[AnyArray]) -> AnyArray:
 
 def _fields_shape(model: MorphModel, share: Mask) -> AnyArray:
     """Give a matrix (k, k) px whose rows are as far apart as the components' warps, root mean square in a part."""
-    height, width = model.mask.shape
     weight = share.reshape(-1)
-    fields = model.basis.components[:, 3 * height * width :]
+    fields = model.component_displacements.reshape(model.rank, -1, 2)
     gram = np.zeros((model.rank, model.rank))
     for axis in (0, 1):
-        plane = np.asarray(fields[:, axis::2], np.float64)
+        plane = np.asarray(fields[..., axis], np.float64)
         gram += (plane * weight) @ plane.T
     values, vectors = np.linalg.eigh(gram / max(float(weight.sum()), 1.0))
     return vectors * np.sqrt(np.maximum(values, 0))

@@ -19,7 +19,6 @@ from morphspace.model.encode import framed_for, notes_on_framing
 from morphspace.model.model import MorphModel
 from morphspace.model.morph import MorphOffset
 from morphspace.storage import digest_of_json
-from morphspace.transfer.mimicry import offset_of
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,7 +68,7 @@ def training_driver(source: UsedModel) -> Driver:
         inputs={},
         rate_hz=float(rate) if rate else None,
         given=lambda places: (np.array(loadings[place], np.float64) for place in places),
-        offset=lambda name, row, found: offset_of(model, row),
+        offset=lambda name, row, found: model.offset(row),
         picture=model.render,
         is_pictures=False,
     )

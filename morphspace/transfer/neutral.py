@@ -1,9 +1,9 @@
-"""What counts as rest when two models talk to each other (ours; Nagle section 3 asks for like means).
+"""The neutral face of each of two models in a mimicry (ours; Nagle section 3 asks for means of like expressions).
 
 A face is carried over as its difference from the source's mean. Where one mean smiles and the other does not, the
-target smiles whenever the source rests. So the means are compared by their lips, which identity changes less than brows
-and lids, and where they are far apart the source's faces are counted from that of its frames which looks most like the
-target's mean. Or a person names a neutral frame of each.
+target smiles whenever the source is neutral. So the means are compared by their lips, which identity changes less than
+brows and lids. Where they are far apart, the training frame of the source that looks most like the target's mean takes
+the place of the source's mean. Or a person names a neutral frame of each.
 """
 
 from __future__ import annotations
@@ -24,6 +24,7 @@ from morphspace.model.keypoints import (
     required_faceframe,
 )
 from morphspace.model.model import MorphModel
+from morphspace.model.morph import MorphOffset
 
 # Of the eye distance. Five people's means with lips half open: .03 to .05; against the mean of a smile: .07 to .11.
 FAR_APART = 0.06
@@ -32,21 +33,143 @@ AUTOMATIC, MEAN = "auto", "mean"  # values of --neutral that are no frame
 
 
 @dataclass(frozen=True, eq=False)
-class Recentring:
-    """What counts as rest: `source` (k_A,) loadings are taken off every face of the source, `target` (k_B,) loadings
-    are added to every face of the target.
+class Neutral:
+    """The faces of source and target that count as neutral.
 
-    `source_frame`, `target_frame` name the training frames they come from, None for the mean. `apart_before` and
-    `apart_after` tell how far apart the lips of the resting faces are, as a share of the target's eye distance: of the
-    means, and of what replaces them; None where they are not known.
+    Mimicry carries over how far a face of the source is from the source's neutral face, and adds it to the target's.
+
+    Parameters
+    ----------
+    asked : str
+        What was asked for: `auto`, `mean`, or names of training frames.
+    source, target : (k_A,), (k_B,)
+        Loadings of the neutral faces; zeros are the means.
+    source_frame, target_frame : str, optional
+        The training frames they come from; None for the mean.
+    means_apart, apart : float, optional
+        Distance of the lips of the two mean faces, and of the two neutral faces, after the affine, in eye distances of
+        the target. None where the points of the lips are not known.
     """
 
+    asked: str
     source: LoadingVector
     target: LoadingVector
-    source_frame: str | None
-    target_frame: str | None
-    apart_before: float | None
-    apart_after: float | None
+    source_frame: str | None = None
+    target_frame: str | None = None
+    means_apart: float | None = None
+    apart: float | None = None
+
+    @property
+    def is_means(self) -> bool:
+        """Whether both neutral faces are the means."""
+        return self.source_frame is None and self.target_frame is None
+
+    def offsets(
+        self, source: MorphModel, target: MorphModel
+    ) -> tuple[MorphOffset | None, MorphOffset | None]:
+        """Give the neutral faces of source and target relative to their means; None for a mean.
+
+        Raises `BadInput` where the loadings are those of other models.
+        """
+        for model, loadings in ((source, self.source), (target, self.target)):
+            if loadings.shape != (model.rank,):
+                raise BadInput(
+                    f"the neutral face of {model.identity} has {len(loadings)} loadings, its model has {model.rank} "
+                    "components: make it from the same models"
+                )
+        return (
+            source.offset(self.source) if self.source.any() else None,
+            target.offset(self.target) if self.target.any() else None,
+        )
+
+    @property
+    def settings(self) -> dict[str, Any]:
+        """What records and finished frames say of it."""
+        return {
+            "asked": self.asked,
+            "source_frame": self.source_frame,
+            "target_frame": self.target_frame,
+            "means_apart": self.means_apart,
+            "apart": self.apart,
+        }
+
+    def notes(self, source: MorphModel, target: MorphModel) -> tuple[str, ...]:
+        """Say in one line which frames are neutral and why, or that the means are far apart and still are neutral."""
+        if self.is_means:
+            return self._apart_notes(source, target)
+        moved = [
+            f"the {role} is re-centred on frame {frame} of {model.identity}"
+            for role, model, frame in (
+                ("source", source, self.source_frame),
+                ("target", target, self.target_frame),
+            )
+            if frame is not None
+        ]
+        why = (
+            ""
+            if self.means_apart is None
+            else f": the means differ by {self.means_apart:.1%} of the eye distance"
+        )
+        left = "" if self.apart is None else f", these faces by {self.apart:.1%}"
+        choose = "; --neutral chooses other frames" if self.asked == AUTOMATIC else ""
+        return (f"{' and '.join(moved)}{why}{left}{choose}",)
+
+    def _apart_notes(self, source: MorphModel, target: MorphModel) -> tuple[str, ...]:
+        if self.means_apart is None or self.means_apart <= FAR_APART:
+            return ()
+        why = f", and no frame of {source.identity} comes much nearer" if self.asked == AUTOMATIC else ""
+        return (
+            f"the lips of the two mean faces lie {self.means_apart:.1%} of the eye distance apart{why}: what is "
+            f"neutral for {source.identity} is not for {target.identity}, and every face is off by the difference. "
+            "Name a neutral frame of each with --neutral A_FRAME,B_FRAME, or build both models from frames of like "
+            "expressions",
+        )
+
+
+def neutral_of(source: MorphModel, target: MorphModel, asked: str = AUTOMATIC) -> Neutral:
+    """Give the neutral faces of two models.
+
+    Parameters
+    ----------
+    source, target : MorphModel
+    asked : str
+        `mean`: the means. A_FRAME or A_FRAME,B_FRAME: training frames by name, with or without suffix, or `mean`; the
+        target's is the mean where it is not named. `auto`: the means, unless their lips lie further apart than
+        `FAR_APART` and a training frame of the source comes much nearer to the target's mean; then that frame.
+
+    Raises
+    ------
+    BadInput
+        For a name that is none, or more than one, of the training frames, and where the models cannot be linked.
+    """
+    if asked == AUTOMATIC:
+        return _automatic(source, target)
+    source_frame, target_frame = neutral_names(asked)
+    from_source, source_name = _frame(source, source_frame)
+    from_target, target_name = _frame(target, target_frame)
+    apart = means_apart(source, target)
+    if source_name is not None or target_name is not None:
+        after = _apart(source, target, from_source, from_target)
+        return Neutral(asked, from_source, from_target, source_name, target_name, apart, after)
+    return Neutral(asked, from_source, from_target, means_apart=apart, apart=apart)
+
+
+def _automatic(source: MorphModel, target: MorphModel) -> Neutral:
+    """Give the means, or the source's frame nearest to the target's mean where they are far apart."""
+    before = means_apart(source, target)
+    zeros = np.zeros(target.rank)
+    means = Neutral(AUTOMATIC, np.zeros(source.rank), zeros, means_apart=before, apart=before)
+    if before is None or before <= FAR_APART:
+        return means
+    distances = _lips_apart(source, target, source.training.values, zeros)
+    if distances is None:
+        return means
+    best = int(distances.argmin())
+    if not distances[best] < WORTHWHILE * before:
+        return means
+    loadings = np.array(source.training.values[best], np.float64)
+    frame = source.training.frame_names[best]
+    return Neutral(AUTOMATIC, loadings, zeros, frame, None, before, float(distances[best]))
 
 
 def means_apart(source: MorphModel, target: MorphModel) -> float | None:
@@ -56,120 +179,6 @@ def means_apart(source: MorphModel, target: MorphModel) -> float | None:
     Raises `BadInput` where the models cannot be linked.
     """
     return _apart(source, target, np.zeros(source.rank), np.zeros(target.rank))
-
-
-def automatic_recentring(source: MorphModel, target: MorphModel) -> Recentring | None:
-    """Count the source's faces from its frame nearest to the target's mean, where the means are `FAR_APART`.
-
-    None where they are near enough, where that is not known, and where no frame comes much nearer.
-    """
-    before = means_apart(source, target)
-    if before is None or before <= FAR_APART:
-        return None
-    rest = np.zeros(target.rank)
-    distances = _lips_apart(source, target, source.training.values, rest)
-    if distances is None:
-        return None
-    best = int(distances.argmin())
-    if not distances[best] < WORTHWHILE * before:
-        return None
-    return Recentring(
-        np.array(source.training.values[best], np.float64),
-        rest,
-        source.training.frame_names[best],
-        None,
-        before,
-        float(distances[best]),
-    )
-
-
-def recentring_on(
-    source: MorphModel, target: MorphModel, source_frame: str | None, target_frame: str | None = None
-) -> Recentring:
-    """Count the source's faces from one of its training frames, and lay them on one of the target's.
-
-    Names are those of the training frames, with or without suffix; None stands for the mean. Raises `BadInput` for a
-    name that is none, or more than one, of them.
-    """
-    from_source, source_name = _frame(source, source_frame)
-    from_target, target_name = _frame(target, target_frame)
-    return Recentring(
-        from_source,
-        from_target,
-        source_name,
-        target_name,
-        means_apart(source, target),
-        _apart(source, target, from_source, from_target),
-    )
-
-
-@dataclass(frozen=True, eq=False)
-class Rest:
-    """What counts as rest, and how it came to be: `asked` as --neutral was given; `origin` None for the two means.
-
-    `apart` is how far the landmarks of the two means lie from each other after the affine, in eye distances of the
-    target; None where that is not known.
-    """
-
-    asked: str
-    origin: Recentring | None
-    apart: float | None
-
-    @property
-    def settings(self) -> dict[str, Any]:
-        """For records and finished frames."""
-        here = self.origin
-        return {
-            "asked": self.asked,
-            "source_frame": None if here is None else here.source_frame,
-            "target_frame": None if here is None else here.target_frame,
-            "means_apart": self.apart,
-            "apart": self.apart if here is None else here.apart_after,
-        }
-
-    def notes(self, source: MorphModel, target: MorphModel) -> tuple[str, ...]:
-        """Say in one line what was moved and why, or that the means lie apart and nothing was; else nothing."""
-        here = self.origin
-        if here is None:
-            return self._apart_notes(source, target)
-        moved = [
-            f"the {role} is re-centred on frame {frame} of {model.identity}"
-            for role, model, frame in (
-                ("source", source, here.source_frame),
-                ("target", target, here.target_frame),
-            )
-            if frame is not None
-        ]
-        if not moved:
-            return ()
-        why = "" if self.apart is None else f": the means differ by {self.apart:.1%} of the eye distance"
-        left = "" if here.apart_after is None else f", these faces by {here.apart_after:.1%}"
-        choose = "; --neutral chooses other frames" if self.asked == AUTOMATIC else ""
-        return (f"{' and '.join(moved)}{why}{left}{choose}",)
-
-    def _apart_notes(self, source: MorphModel, target: MorphModel) -> tuple[str, ...]:
-        if self.apart is None or self.apart <= FAR_APART:
-            return ()
-        why = f", and no frame of {source.identity} comes much nearer" if self.asked == AUTOMATIC else ""
-        return (
-            f"the lips of the two mean faces lie {self.apart:.1%} of the eye distance apart{why}: what is neutral for "
-            f"{source.identity} is not for {target.identity}, and every face is off by the difference. Name a resting "
-            "frame of each with --neutral A_FRAME,B_FRAME, or build both models from frames of like expressions",
-        )
-
-
-def rest_of(source: MorphModel, target: MorphModel, asked: str) -> Rest:
-    """Give what counts as rest: `auto`, `mean`, or A_FRAME[,B_FRAME], each the name of a training frame or `mean`.
-
-    A frame alone is the source's; the target rests on its mean. Raises `BadInput` for a name that is no training frame.
-    """
-    apart = means_apart(source, target)
-    if asked == AUTOMATIC:
-        return Rest(asked, automatic_recentring(source, target), apart)
-    names = neutral_names(asked)
-    if names == (None, None):
-        return Rest(asked, None, apart)
-    return Rest(asked, recentring_on(source, target, *names), apart)
 
 
 def neutral_names(asked: str) -> tuple[str | None, str | None]:

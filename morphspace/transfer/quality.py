@@ -1,4 +1,4 @@
-"""How far the target follows, judged alike for every method: what is missing of the motion, and how colours agree.
+"""The quality of a mimicry: what became of a face on its way, and how far the target follows (methods 5).
 
 Shares of energy say little between people. Skin and light differ, so that most of the carried change of colour is
 nothing the target could show; and a small share of a large motion may be a closed mouth that should stand open. So the
@@ -15,15 +15,75 @@ import numpy as np
 from morphspace.arrays import AnyArray, LoadingVector
 from morphspace.face.expression import mean_gap
 from morphspace.face.mesh import landmark_places
+from morphspace.grid import warp
 from morphspace.model.keypoints import affine_between_models, required_faceframe
 from morphspace.model.model import MorphModel
-from morphspace.model.morph import MorphOffset, vector_of
-from morphspace.transfer.mimicry import FEATURE_WEIGHT, Mimicry, Passage, feature_weights
-from morphspace.transfer.probable import InnerProducts
+from morphspace.model.morph import Morph, MorphOffset, displacement_columns, texture_columns
+from morphspace.transfer.neutral import MEAN, Neutral, neutral_of
+from morphspace.transfer.probable import FEATURE_WEIGHT, feature_weights
+from morphspace.transfer.projection import Projection
 
 NEAR = 0.3  # of a feature point's weight; with it some 5 % of a face's pixels lie on lids, brows and lips
 INSIDE = 0.5  # of both masks
 WORST = 0.95  # quantile over those pixels: a corner of the mouth counts, a single pixel does not
+
+
+@dataclass(frozen=True, eq=False)
+class Quality:
+    """What became of one face on its way (methods 5).
+
+    `texture_kept` and `warp_kept`: shares of the carried offset's energy that the target's components can show;
+    `length_sd`: root mean square of the loadings in SD; `largest_sd`: the largest of them before it was bounded;
+    `bounded`: how many components the bound shortened by more than a tenth; `folds`: share of cells inside the mask
+    that the face turns over.
+    """
+
+    texture_kept: float
+    warp_kept: float
+    length_sd: float
+    largest_sd: float
+    bounded: int
+    folds: float
+
+
+def quality_of(
+    target: MorphModel,
+    carried: MorphOffset,
+    shown: MorphOffset,
+    asked: LoadingVector,
+    loadings: LoadingVector,
+    morph: Morph,
+) -> Quality:
+    """Judge a face of the target.
+
+    Parameters
+    ----------
+    target : MorphModel
+    carried, shown : MorphOffset
+        What was asked for on the target's mean face, and what the target's components show of it.
+    asked, loadings : (k,)
+        The loadings before and after the bound.
+    morph : Morph
+        The face that was made.
+    """
+    missing = carried - shown
+    kept = []
+    for part in (texture_columns(carried.shape), displacement_columns(carried.shape)):
+        weight = target.basis.weight[part]
+        energy = _energy(weight, carried.vector[part])
+        kept.append(1 - _energy(weight, missing.vector[part]) / energy if energy > 0 else 1.0)
+    return Quality(
+        texture_kept=kept[0],
+        warp_kept=kept[1],
+        length_sd=float(np.sqrt(np.mean((loadings / target.sd) ** 2))),
+        largest_sd=float(np.abs(asked / target.sd).max()),
+        bounded=int((np.abs(loadings) < 0.9 * np.abs(asked)).sum()),
+        folds=warp.fold_fraction(morph.displacement, target.mask),
+    )
+
+
+def _energy(weight: AnyArray, values: AnyArray) -> float:
+    return float(np.dot(weight * values, values))
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,44 +106,47 @@ class Reach:
 class ReachOf(Protocol):
     """Judges what a difference from the source's mean became."""
 
-    def __call__(self, offset: MorphOffset, mimicry: Mimicry, loadings: LoadingVector | None = None) -> Reach:
-        """Give the reach. `loadings` (k_A,) are the offset's on the source's components, read from it where None."""
+    def __call__(
+        self, offset: MorphOffset, made: Morph, made_loadings: LoadingVector, loadings: LoadingVector
+    ) -> Reach:
+        """Give the reach of the face `made` (its loadings (k_B,)) for an offset of the source (its loadings (k_A,))."""
 
 
-def reach_of(
-    source: MorphModel, target: MorphModel, gain: float, rest: tuple[MorphOffset, MorphOffset] | None = None
-) -> ReachOf:
+def reach_of(source: MorphModel, target: MorphModel, gain: float, neutral: Neutral | None = None) -> ReachOf:
     """Prepare a pair of models; give the function that judges each face (ours).
 
-    `gain` multiplies what is asked for; `rest` are the faces of source and target that count as rest, relative to their
-    means, None for the means. Raises as `Passage`.
+    `gain` multiplies what is asked for; `neutral` are the neutral faces of both, None for the means. Raises as
+    `Projection`.
     """
-    passage = Passage(source, target)
-    inside = passage.seen * target.mask > INSIDE
+    projection = Projection(source, target)
+    neutral = neutral or neutral_of(source, target, MEAN)
+    source_neutral, target_neutral = neutral.offsets(source, target)
+    inside = projection.seen * target.mask > INSIDE
     places = np.flatnonzero(_features(target) & inside.reshape(-1))
     skin = inside[..., None].astype(np.float32)
     right, left, _ = required_faceframe(target).points
     eyes_px = float(np.hypot(*(left - right)))
-    colours = 3 * target.mask.size
-    columns = colours + (2 * places[:, None] + (0, 1)).reshape(-1)
-    components = np.array(target.basis.components[:, columns])
-    at_rest = np.zeros((len(places), 2), np.float32)
+    fields = target.component_displacements.reshape(target.rank, -1, 2)
+    components = np.take(fields, places, axis=1).reshape(target.rank, -1)
+    openings = openings_of(source, target, neutral)
+    start = np.zeros((len(places), 2), np.float32)
     coloured = np.zeros_like(target.mean.texture)
-    openings = openings_of(source, target, rest)
-    if rest is not None:
-        at_rest = rest[1].displacement.reshape(-1, 2)[places]
-        coloured = rest[1].texture
+    if target_neutral is not None:
+        start = target_neutral.displacement.reshape(-1, 2)[places]
+        coloured = target_neutral.texture
 
-    def reach(offset: MorphOffset, mimicry: Mimicry, loadings: LoadingVector | None = None) -> Reach:
-        asked = passage.carried(offset if rest is None else offset - rest[0]) * gain
-        shown = (np.asarray(mimicry.loadings, np.float32) @ components).reshape(-1, 2)
-        missing = asked.displacement.reshape(-1, 2)[places] + at_rest - shown
+    def reach(
+        offset: MorphOffset, made: Morph, made_loadings: LoadingVector, loadings: LoadingVector
+    ) -> Reach:
+        since = offset if source_neutral is None else offset - source_neutral
+        asked = projection.carried(since) * gain
+        shown = (np.asarray(made_loadings, np.float32) @ components).reshape(-1, 2)
+        missing = asked.displacement.reshape(-1, 2)[places] + start - shown
         lengths = np.hypot(missing[:, 0], missing[:, 1])
-        texture = mimicry.morph.texture - target.mean.texture - coloured
         return Reach(
             float(np.quantile(lengths, WORST)) / eyes_px if len(lengths) else 0.0,
-            _agreement(skin * asked.texture, skin * texture),
-            None if openings is None else openings.beyond(offset, gain, loadings),
+            _agreement(skin * asked.texture, skin * (made.texture - target.mean.texture - coloured)),
+            None if openings is None else openings.beyond(loadings, gain),
         )
 
     return reach
@@ -93,50 +156,34 @@ def reach_of(
 class Openings:
     """How far the lips stand open, from the landmark regressions of both models, in eye distances of the target.
 
-    `asked` (k_A,) per loading of the source, after the affine | `at_rest`, of the faces of source and target that count
-    as rest | `most`, the widest of the target's training faces. All relative to the means.
+    `asked` (k_A,) per loading of the source, after the affine | `source_neutral`, `target_neutral` of the neutral
+    faces | `most`, the widest of the target's training faces. All relative to the means.
     """
 
-    source: InnerProducts
     asked: AnyArray
-    at_rest: tuple[float, float]
+    source_neutral: float
+    target_neutral: float
     most: float
 
-    def beyond(self, offset: MorphOffset, gain: float, loadings: LoadingVector | None = None) -> float:
-        """Give how much wider than `most` an offset of the source asks the lips to open.
-
-        `loadings` (k_A,) are its own, read from it where None.
-        """
-        if loadings is None:
-            loadings = self.source.with_offset(vector_of(offset.texture, offset.displacement))
-        from_rest, to_rest = self.at_rest
-        return gain * (float(loadings @ self.asked) - from_rest) + to_rest - self.most
+    def beyond(self, loadings: LoadingVector, gain: float) -> float:
+        """Give how much wider than `most` a face of the source, of loadings (k_A,), asks the lips to open."""
+        wanted = gain * (float(loadings @ self.asked) - self.source_neutral)
+        return wanted + self.target_neutral - self.most
 
 
-def openings_of(
-    source: MorphModel, target: MorphModel, rest: tuple[MorphOffset, MorphOffset] | None = None
-) -> Openings | None:
-    """Prepare what tells how far the lips open; None where a model does not know its landmarks.
-
-    `rest` as `reach_of` has it.
-    """
+def openings_of(source: MorphModel, target: MorphModel, neutral: Neutral) -> Openings | None:
+    """Prepare what tells how far the lips open; None where a model does not know its landmarks."""
     if source.landmarks is None or target.landmarks is None:
         return None
     right, left, lip = required_faceframe(target).points
     down = lip - (right + left) / 2
     down = down / (np.hypot(*down) * np.hypot(*(left - right)))  # per px, in eye distances
     linear = affine_between_models(source, target)[:, :2]
-    shown = mean_gap(target.landmarks.weights[:, landmark_places("inner lips")]) @ down
-    asked = mean_gap(source.landmarks.weights[:, landmark_places("inner lips")]) @ linear.T @ down
-    at_rest = (0.0, 0.0)
-    if rest is not None:
-        loadings = [
-            model.basis.project(vector_of(face.texture, face.displacement))
-            for model, face in zip((source, target), rest, strict=True)
-        ]
-        at_rest = (float(loadings[0] @ asked), float(loadings[1] @ shown))
+    lips = landmark_places("inner lips")
+    shown = mean_gap(target.landmarks.weights[:, lips]) @ down
+    asked = mean_gap(source.landmarks.weights[:, lips]) @ linear.T @ down
     most = float((target.training.values @ shown).max(initial=0.0))
-    return Openings(InnerProducts(source, source.basis.weight), asked, at_rest, most)
+    return Openings(asked, float(neutral.source @ asked), float(neutral.target @ shown), most)
 
 
 def _features(target: MorphModel) -> AnyArray:

@@ -14,8 +14,7 @@ from morphspace.io.tables import write_metrics_table
 from morphspace.model.encode import STRANGE
 from morphspace.outcome import versions
 from morphspace.storage import json_text, write_text
-from morphspace.transfer.mimicry import Quality
-from morphspace.transfer.quality import Reach
+from morphspace.transfer.quality import Quality, Reach
 
 FORMAT = "morphspace-mimicry"
 VERSION = 1

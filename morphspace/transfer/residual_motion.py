@@ -16,15 +16,13 @@ from morphspace.model.keypoints import required_faceframe
 from morphspace.model.model import MorphModel
 from morphspace.model.morph import Morph
 
-REST_SHARE = (
-    0.5  # of the motion the components cannot express; all of it carries the source's errors over too
-)
-REST_LIMIT = 0.06  # of the eye distance: what is added back bends towards it, so that no gain tears a face
+RESIDUAL_SHARE = 0.5  # of that motion; all of it carries the source's errors over too
+RESIDUAL_LIMIT = 0.06  # of the eye distance: what is added bends towards it, so that no gain tears a face
 
 
 @dataclass(frozen=True, eq=False)
-class Unshown:
-    """Adds a `share` (h, w) of what is missing; it bends towards `limit_px`: much is held back."""
+class ResidualMotion:
+    """Adds a `share` (h, w) of the motion that is missing; it bends towards `limit_px`: much is held back."""
 
     share: AnyArray
     limit_px: float
@@ -37,19 +35,18 @@ class Unshown:
         held *= np.float32(1 / self.limit_px**2)
         held += 1
         np.sqrt(held, out=held)
-        moved = np.empty_like(morph.displacement)
-        for axis, rest in enumerate((right, down)):
-            rest /= held
-            np.add(morph.displacement[..., axis], rest, out=moved[..., axis])
-        return Morph(unfolded(moved), morph.texture, morph.reference_id)
+        moved = np.empty_like(missing)
+        for axis, part in enumerate((right, down)):
+            part /= held
+            np.add(morph.displacement[..., axis], part, out=moved[..., axis])
+        return Morph.of(morph.texture, unfolded(moved), morph.reference_id)
 
 
-def unshown_of(target: MorphModel, seen: Mask) -> Unshown:
+def residual_motion_of(target: MorphModel, seen: Mask) -> ResidualMotion:
     """Prepare it for faces of `target`, inside its mask and where the source has something to say, `seen` (h, w).
 
     Raises `BadInput` where the model has no faceframe.
     """
     right, left, _ = required_faceframe(target).points
-    return Unshown(
-        np.float32(REST_SHARE) * (seen * target.mask), REST_LIMIT * float(np.hypot(*(left - right)))
-    )
+    eyes_px = float(np.hypot(*(left - right)))
+    return ResidualMotion(np.float32(RESIDUAL_SHARE) * (seen * target.mask), RESIDUAL_LIMIT * eyes_px)

@@ -19,7 +19,7 @@ from morphspace.arrays import Image, LoadingTable
 from morphspace.errors import BadInput
 from morphspace.face.detector import Detector, own_detector
 from morphspace.face.regions import WHOLE
-from morphspace.imitation import Comparison, MaskedBasis, compare
+from morphspace.imitation import Comparison, compare
 from morphspace.imitation.advice import chance_words, mean_apart, size_words, strange_words
 from morphspace.imitation.faces_seen import FacesSeen, look_for_faces
 from morphspace.imitation.imitator import METHOD, imitator_of
@@ -34,6 +34,7 @@ from morphspace.imitation.table import (
 )
 from morphspace.io.tables import write_loadings_table
 from morphspace.io.video import write_video
+from morphspace.linear.posterior import Posterior
 from morphspace.model.encode import check_components, components_used
 from morphspace.model.model import MorphModel, load_model
 from morphspace.outcome import RECORD_NAME, Outcome, versions, write_record
@@ -314,7 +315,7 @@ def of_height(image: Image, height: int) -> Image:
 
 
 def _settings_shown(
-    request: MeasureMimicryRequest, told: dict[str, object], part: MaskedBasis | None
+    request: MeasureMimicryRequest, told: dict[str, object], part: Posterior | None
 ) -> dict[str, str]:
     shown = {
         key.replace("_", " "): "not known" if value is None else str(value)

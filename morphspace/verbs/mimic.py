@@ -47,7 +47,7 @@ class MimicRequest:
     "auto": `guided` where both models know their landmarks, else `transfer`; `gain` multiplies the loadings, "auto" so
     that the target moves as far as the source (`mimic.auto_gain`), None for auto with `guided` and `transfer` and 1
     with the others; `max_sd` bounds each of them; `components` uses the target's first so many, None for all; `neutral`
-    says what counts as rest (`neutral.rest_of`).
+    names the neutral faces of both (`neutral.neutral_of`).
     """
 
     source: ClipText

@@ -38,6 +38,7 @@ from morphspace.model.landmarks import LandmarkRegression
 from morphspace.model.model import Loadings
 from morphspace.model.morph import Morph
 from morphspace.steps import result_of
+from morphspace.transfer.neutral import Neutral
 from morphspace.verbs import blend_avatar
 
 FACEFRAME = FaceFrame((20.0, 30.0), (44.0, 30.0), (32.0, 50.0))
@@ -47,7 +48,9 @@ QUICK = {"expressions": 4, "flow": "dis", "components": 3}
 
 def named(model, identity, faceframe=FACEFRAME, brighter=0.0):
     """The drawn model as another person: its own name, keypoints and lightness, so its own digests too."""
-    mean = Morph(model.mean.displacement, model.mean.texture + np.float32(brighter), model.mean.reference_id)
+    mean = Morph.of(
+        model.mean.texture + np.float32(brighter), model.mean.displacement, model.mean.reference_id
+    )
     digest = f"{hash_number(identity):016x}"
     training = Loadings(model.training.values, model.training.frame_names, digest)
     provenance = {**model.provenance, "identity": identity}
@@ -209,7 +212,7 @@ def test_a_shifted_face_is_laid_on_the_reference(anna, model):
     moved = cv2.warpAffine(anna.mean.texture, shift, anna.size, borderMode=cv2.BORDER_REPLICATE)
     beside = FaceFrame((22.0, 29.0), (46.0, 29.0), (34.0, 49.0))
     other = named(model, "ben", beside)
-    other = replace(other, mean=Morph(other.mean.displacement, moved, other.mean.reference_id))
+    other = replace(other, mean=Morph.of(moved, other.mean.displacement, other.mean.reference_id))
     common = common_face([anna, other], ["a", "b"], 0, "dis")
     inside = anna.mask > 0.9
     assert np.abs(common.fields[1][inside] - (2, -1)).mean() < 0.3  # px
@@ -303,14 +306,14 @@ def with_lips(model, per_loading_px):
 
 def test_gaps_tell_what_is_missed_and_what_was_never_shown(anna, ben):
     source, target = with_lips(anna, 4.0), with_lips(named(ben, "ben"), 1.0)
-    rest = np.zeros(anna.rank)
-    gaps = Gaps(source, target, rest, rest)
+    means = np.zeros(anna.rank)
+    gaps = Gaps(source, target, Neutral("mean", means, means))
     asked, shown = np.array([2.0, 0, 0]), np.array([1.0, 0, 0])
     misfit, beyond = gaps.judged(asked, shown)
     most = 2 + max(target.training.values[:, 0])
     assert misfit == pytest.approx((8 - 1) / 24)
     assert beyond == pytest.approx((8 + 2 - most) / 24)
-    assert gaps.judged(rest, rest)[0] == 0
+    assert gaps.judged(means, means)[0] == 0
 
 
 def test_what_a_blend_gives_back_fits_together(anna, ben, tmp_path):
@@ -526,7 +529,7 @@ def test_numbers_that_are_not_finite_are_refused(anna, ben):
 def test_a_version_that_goes_nowhere_is_refused_not_drawn(mixer, anna):
     displacement = np.array(anna.mean.displacement)
     displacement[3, 4] = np.nan
-    nowhere = Version(Morph(displacement, anna.mean.texture, anna.mean.reference_id), 1.0)
+    nowhere = Version(Morph.of(anna.mean.texture, displacement, anna.mean.reference_id), 1.0)
     with pytest.raises(BadInput, match=r"2 of .* not finite"):
         mixer.mixed([nowhere, nowhere])
     with pytest.raises(BadInput, match="not finite"):

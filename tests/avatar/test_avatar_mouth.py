@@ -51,8 +51,8 @@ def mouth_drawn(model, lower_px):
 
 def person(model, identity, lower_px, error_px=SURE):
     """A person who shows the mouth lower in colour than the mesh of the mean face tells, and whose regression knows."""
-    mean = Morph(
-        np.zeros_like(model.mean.displacement), mouth_drawn(model, lower_px), model.mean.reference_id
+    mean = Morph.of(
+        mouth_drawn(model, lower_px), np.zeros_like(model.mean.displacement), model.mean.reference_id
     )
     provenance = {**model.provenance, "identity": identity}
     made = replace(model, mean=mean, provenance=provenance)
@@ -128,7 +128,9 @@ def test_matched_mouths_blend_into_one_mouth_in_between(anna, ben):
 
 def test_landmarks_that_err_by_more_than_they_are_off_move_nothing(model, anna):
     unsure = person(model, "ben", LOWER_PX, UNSURE)
-    same = replace(unsure, mean=Morph(unsure.mean.displacement, anna.mean.texture, unsure.mean.reference_id))
+    same = replace(
+        unsure, mean=Morph.of(anna.mean.texture, unsure.mean.displacement, unsure.mean.reference_id)
+    )
     out = matcher(anna, same).matched(shown(anna, same), laid(anna, same))
     assert (
         np.abs(out[1].displacement).max() < 0.1

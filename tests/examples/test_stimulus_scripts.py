@@ -43,7 +43,7 @@ def actors(model, tmp_path_factory):
         folder = tmp_path_factory.mktemp("actors")
         for number, name in enumerate(("ann", "bob", "cat")):
             texture = (model.mean.texture + np.float32(0.03 * number)).astype(np.float32)
-            mean = Morph(model.mean.displacement, texture, model.mean.reference_id)
+            mean = Morph.of(texture, model.mean.displacement, model.mean.reference_id)
             training = Loadings(model.training.values, model.training.frame_names, f"{number:016d}")
             one = replace(
                 model, mean=mean, training=training, provenance={**model.provenance, "identity": name}

@@ -421,9 +421,7 @@ def test_a_part_that_is_the_whole_face_gives_the_projection():
     offset = np.random.default_rng(1).standard_normal(200).astype(np.float32)
     part = masked_basis(basis, np.ones(200))
     assert_allclose(part.visible_share, 1, atol=1e-5)
-    assert_allclose(
-        part.project(offset), basis.project(offset), atol=0.005
-    )  # the least prior shrinks by 1e-3
+    assert_allclose(part.mean(offset), basis.project(offset), atol=0.005)  # the least prior shrinks by 1e-3
 
 
 def test_what_a_model_can_say_is_found_again_from_a_part_of_the_face():
@@ -434,8 +432,8 @@ def test_what_a_model_can_say_is_found_again_from_a_part_of_the_face():
     faces = basis.expand(truth)
     outside = faces.copy()
     outside[:, 150:] = 99.0  # what the mask leaves out may be anything
-    assert_allclose([part.project(face) for face in outside], truth, atol=0.02)
-    assert_allclose(part.seen(truth), [part.project(face) for face in faces], atol=1e-4)
+    assert_allclose([part.mean(face) for face in outside], truth, atol=0.02)
+    assert_allclose(part.mean_of_faces(truth), [part.mean(face) for face in faces], atol=1e-4)
     naive = (share * faces) @ basis.components.T
     assert np.abs(naive - truth).max() > 0.2
 
@@ -446,7 +444,7 @@ def test_a_component_that_the_part_does_not_show_stays_at_the_mean():
     basis = Basis(rows, np.array([2.0, 1.0]), np.ones(10, np.float32), 0.0)
     part = masked_basis(basis, (np.arange(10) < 5).astype(np.float32))
     assert_allclose(part.visible_share, [1, 0], atol=1e-6)
-    assert_allclose(part.seen(np.array([[3.0, 4.0]])), [[3.0, 0.0]], atol=0.01)
+    assert_allclose(part.mean_of_faces(np.array([[3.0, 4.0]])), [[3.0, 0.0]], atol=0.01)
 
 
 @pytest.mark.parametrize(

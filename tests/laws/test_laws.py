@@ -13,7 +13,7 @@ from morphspace.grid import warp
 from morphspace.linear.pca import Basis, fit_basis
 from morphspace.linear.rows import RowArray
 from morphspace.model.model import load_model
-from morphspace.model.morph import Morph, deserialise, parts_of, serialise
+from morphspace.model.morph import Morph, deserialise, serialise
 
 few = settings(max_examples=20, deadline=None, derandomize=True)
 numbers = st.floats(-1e3, 1e3, width=32)
@@ -25,7 +25,7 @@ sides = st.integers(1, 9)
 def test_serialise_and_deserialise_are_inverse(data, height, width):
     texture = data.draw(arrays(np.float32, (height, width, 3), elements=numbers))
     displacement = data.draw(arrays(np.float32, (height, width, 2), elements=numbers))
-    back = deserialise(serialise(Morph(displacement, texture, "here")), height, width, "here")
+    back = deserialise(serialise(Morph.of(texture, displacement, "here")), height, width, "here")
     assert_array_equal(back.texture, texture)
     assert_array_equal(back.displacement, displacement)
     vector = data.draw(arrays(np.float32, 5 * height * width, elements=numbers))
@@ -113,7 +113,7 @@ def test_save_and_load_are_bit_equal(model, tmp_path):
 
 
 def test_another_reference_raises(model):
-    elsewhere = Morph(model.mean.displacement, model.mean.texture, "elsewhere")
+    elsewhere = Morph.of(model.mean.texture, model.mean.displacement, "elsewhere")
     for wrong in (lambda: model.project(elsewhere), lambda: elsewhere - model.mean):
         with pytest.raises(ReferenceMismatch):
             wrong()
@@ -129,11 +129,8 @@ def test_the_sign_of_a_component_never_changes_a_rendered_image(model):
     )
     face = model.expand([0.8, -0.5, 0.3])
     offset = face - model.mean
-    vector = np.concatenate([offset.texture.ravel(), offset.displacement.ravel()])
     images = []
     for basis in (model.basis, flipped):
-        texture, displacement = parts_of(
-            model.mean_vector + basis.expand(basis.project(vector)), *model.mask.shape
-        )
-        images.append(warp.render(texture, displacement))
+        moved = model.mean.vector + basis.expand(basis.project(offset.vector))
+        images.append(Morph(moved, model.mask.shape, "here").render())
     assert_allclose(images[0], images[1], atol=1e-5)

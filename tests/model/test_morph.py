@@ -17,10 +17,8 @@ from morphspace.model.morph import (
     deserialise,
     invert_mean_shape,
     morph_of,
-    parts_of,
     resource,
     serialise,
-    vector_of,
 )
 
 HEIGHT, WIDTH = 40, 48
@@ -29,7 +27,7 @@ HEIGHT, WIDTH = 40, 48
 @pytest.fixture
 def face(picture, wavy_field):
     def make(seed, reference_id="here"):
-        return Morph(wavy_field(HEIGHT, WIDTH, 3.0, seed), picture(HEIGHT, WIDTH, seed), reference_id)
+        return Morph.of(picture(HEIGHT, WIDTH, seed), wavy_field(HEIGHT, WIDTH, 3.0, seed), reference_id)
 
     return make
 
@@ -90,7 +88,7 @@ def test_faces_of_different_reference_do_not_mix(face):
 
 def test_a_warp_that_does_not_fit_its_texture_is_refused(picture, wavy_field):
     with pytest.raises(BadInput, match="does not fit a texture"):
-        Morph(wavy_field(HEIGHT, WIDTH, 1.0), picture(WIDTH, HEIGHT), "here")
+        Morph.of(picture(WIDTH, HEIGHT), wavy_field(HEIGHT, WIDTH, 1.0), "here")
 
 
 # the order of numbers
@@ -127,9 +125,22 @@ def test_a_vector_of_the_wrong_length_is_refused():
 
 def test_vector_and_parts_are_inverse(face):
     one = face(4)
-    texture, displacement = parts_of(vector_of(one.texture, one.displacement), HEIGHT, WIDTH)
-    assert_array_equal(texture, one.texture)
-    assert_array_equal(displacement, one.displacement)
+    again = Morph.of(one.texture, one.displacement, one.reference_id)
+    assert_array_equal(again.vector, one.vector)
+    assert again.shape == one.shape == (HEIGHT, WIDTH)
+    assert np.shares_memory(one.texture, one.vector) and np.shares_memory(one.displacement, one.vector)
+
+
+def test_a_morph_cannot_be_written_to(face):
+    for part in (face(1).vector, face(1).texture, (face(2) - face(1)).displacement):
+        with pytest.raises(ValueError, match="read-only"):
+            part[0] = 0
+
+
+def test_two_faces_cannot_be_added(face):
+    for wrong in (lambda: face(1) + face(2), lambda: (face(1) - face(2)) + face(3), lambda: face(1) * 2.0):
+        with pytest.raises(TypeError):
+            wrong()
 
 
 def test_pca_of_the_papers_vectors_is_the_model_we_compute_with(face):
@@ -137,7 +148,7 @@ def test_pca_of_the_papers_vectors_is_the_model_we_compute_with(face):
     mask[:, :5] = 0
     weight, warp_weight = inner_product(mask, 0.2), 0.2
     faces = [face(seed) for seed in range(7)]
-    ours = np.stack([vector_of(each.texture, each.displacement) for each in faces])
+    ours = np.stack([each.vector for each in faces])
     _, basis, loadings = fit_basis(RowArray(ours), weight, 6)
     # the paper's side, in numpy alone: weights in the paper's order, then the SVD of weighted offsets
     column_wise = mask.T.reshape(-1).astype(np.float64)
@@ -149,8 +160,7 @@ def test_pca_of_the_papers_vectors_is_the_model_we_compute_with(face):
     assert_allclose(np.abs(sign), 1)
     assert_allclose((left * singular)[:, :6] * sign, loadings, atol=1e-5 * np.abs(loadings).max())
     for k in range(6):
-        texture, displacement = parts_of(basis.components[k], HEIGHT, WIDTH)
-        permuted = serialise(MorphOffset(displacement, texture, "here"))
+        permuted = serialise(MorphOffset(basis.components[k], (HEIGHT, WIDTH), "here"))
         assert_allclose(permuted * root, sign[k] * right[k], atol=1e-5)
 
 
@@ -167,7 +177,7 @@ def test_taking_apart_and_rendering_gives_the_frame_back(picture, wavy_field):
 
 def test_taking_apart_undoes_rendering(picture, wavy_field):
     texture, field = picture(HEIGHT, WIDTH, sd_px=4.0), wavy_field(HEIGHT, WIDTH, 2.0)
-    back = morph_of(Morph(field, texture, "here").render(), field, "here")
+    back = morph_of(Morph.of(texture, field, "here").render(), field, "here")
     inside = np.s_[5:-5, 5:-5]
     assert_allclose(back.texture[inside], texture[inside], atol=0.01)
 

@@ -7,13 +7,12 @@ import pytest
 from numpy.testing import assert_allclose
 
 from morphspace.face.regions import face_mask
-from morphspace.grid import warp
 from morphspace.linear.pca import fit_basis, gram_matrix, mean_row
 from morphspace.linear.quality import psnr_db
 from morphspace.linear.rows import RowArray, RowFile
 from morphspace.model import warp_weight
 from morphspace.model.model import inner_product
-from morphspace.model.morph import morph_of, parts_of, vector_of
+from morphspace.model.morph import Morph, morph_of
 from morphspace.model.warp_weight import (
     FACTORS,
     HELD_OUT,
@@ -27,7 +26,7 @@ from morphspace.model.warp_weight import (
 def rows_and_grams(clip, count=None):
     pictures, fields = clip.pictures[:count], clip.fields[:count]
     morphs = [morph_of(image, field, "drawn") for image, field in zip(pictures, fields, strict=True)]
-    rows = np.stack([vector_of(morph.texture, morph.displacement) for morph in morphs])
+    rows = np.stack([morph.vector for morph in morphs])
     return rows, *grams_of(rows, pictures[0].shape[:2])
 
 
@@ -76,7 +75,7 @@ def test_a_trial_is_fitting_the_kept_frames_and_rendering_the_others(clip, compo
         scores = []
         for index in held:
             back = mean + basis.expand(basis.project(rows[index] - mean))
-            scores.append(psnr_db(warp.render(*parts_of(back, *mask.shape)), clip.pictures[index], mask))
+            scores.append(psnr_db(Morph(back, mask.shape, "here").render(), clip.pictures[index], mask))
         assert trial.psnr_db == pytest.approx(np.mean(scores), abs=0.01)  # dB
 
 

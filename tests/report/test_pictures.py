@@ -45,7 +45,7 @@ def test_shrinking_a_morph_shrinks_its_picture():
     y, x = np.mgrid[:300, : 2 * STRIP_WIDTH_PX].astype(np.float32)
     waves = (0.5 + 0.3 * np.sin(x / 15) * np.cos(y / 20)).astype(np.float32)
     field = np.stack([6 * np.sin(y / 40), 4 * np.cos(x / 50)], axis=-1).astype(np.float32)
-    morph = Morph(field, np.repeat(waves[..., None], 3, axis=2), "mean")
+    morph = Morph.of(np.repeat(waves[..., None], 3, axis=2), field, "mean")
     small = shrunk_morph(morph)
     assert small.texture.shape == (150, STRIP_WIDTH_PX, 3)
     whole = cv2.resize(morph.render(), (STRIP_WIDTH_PX, 150), interpolation=cv2.INTER_AREA)

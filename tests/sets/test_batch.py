@@ -69,7 +69,7 @@ def model_like(model, identity, texture, digest):
 
     from morphspace.model.morph import Morph
 
-    mean = Morph(model.mean.displacement, texture, model.mean.reference_id)
+    mean = Morph.of(texture, model.mean.displacement, model.mean.reference_id)
     training = Loadings(model.training.values, model.training.frame_names, digest)
     return replace(model, mean=mean, training=training, provenance={**model.provenance, "identity": identity})
 

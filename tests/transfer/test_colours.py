@@ -11,8 +11,7 @@ from morphspace.face.expression import ring_gaps
 from morphspace.face.faceframe import FaceFrame
 from morphspace.face.mesh import LANDMARKS, landmark_places
 from morphspace.model.landmarks import LandmarkRegression
-from morphspace.model.morph import parts_of, vector_of
-from morphspace.transfer.colours import Texturing
+from morphspace.transfer.colours import MixedColours
 
 FRAME = FaceFrame((20.0, 30.0), (41.0, 29.0), (30.0, 44.0))
 
@@ -30,21 +29,21 @@ def person(model, request):
 
 def own(model, loadings):
     """The texture of loadings as the components have it, relative to the mean's."""
-    return parts_of(model.basis.expand(loadings), *model.mask.shape)[0]
+    return model.offset(loadings).texture
 
 
 def test_a_training_face_keeps_its_own_colours(person):
-    texturing = Texturing(person)
+    texturing = MixedColours(person)
     for row in person.training.values:
         assert_allclose(texturing.change(row), own(person, row), atol=1e-5)
 
 
 def test_the_mean_face_keeps_its_own_colours(person):
-    assert_allclose(Texturing(person).change(np.zeros(person.rank)), 0, atol=1e-7)
+    assert_allclose(MixedColours(person).change(np.zeros(person.rank)), 0, atol=1e-7)
 
 
 def test_no_colour_lies_beyond_those_that_were_shown(person):
-    texturing = Texturing(person)
+    texturing = MixedColours(person)
     shown = np.stack([np.zeros_like(person.mean.texture), *(own(person, row) for row in texturing.faces)])
     least, most = shown.min(axis=0) - 1e-5, shown.max(axis=0) + 1e-5
     rng = np.random.default_rng(3)
@@ -57,7 +56,7 @@ def test_no_colour_lies_beyond_those_that_were_shown(person):
 
 def test_colours_follow_the_loadings_without_a_jump(person):
     """Steps a quarter as long change a quarter as much: a jump would stay as it is."""
-    texturing = Texturing(person)
+    texturing = MixedColours(person)
     one, other = 1.7 * person.training.values[2], 1.7 * person.training.values[7]
 
     def largest(count):
@@ -69,21 +68,20 @@ def test_colours_follow_the_loadings_without_a_jump(person):
 
 def test_the_warp_stays_that_of_the_loadings(person):
     loadings = 4 * person.sd
-    moved = parts_of(Texturing(person).offset(loadings), *person.mask.shape)[1]
-    assert_allclose(moved, parts_of(person.basis.expand(loadings), *person.mask.shape)[1], atol=1e-4)
+    moved = MixedColours(person).offset(loadings).displacement
+    assert_allclose(moved, person.offset(loadings).displacement, atol=1e-4)
 
 
 def test_parts_share_every_pixel_between_them(person):
     """What the parts hold of each component adds up to that component."""
     total = np.zeros((person.rank, person.mask.size, 3))
-    for part in Texturing(person).parts:
+    for part in MixedColours(person).parts:
         total[:, part.places] += part.colours.reshape(person.rank, -1, 3)
-    whole = person.basis.components[:, : 3 * person.mask.size].reshape(total.shape)
-    assert_allclose(total, whole, atol=1e-6)
+    assert_allclose(total, person.component_textures.reshape(total.shape), atol=1e-6)
 
 
 def test_the_picture_is_the_sum_of_its_parts(person):
-    texturing, loadings = Texturing(person), 1.5 * person.training.values[3]
+    texturing, loadings = MixedColours(person), 1.5 * person.training.values[3]
     total = np.zeros((person.mask.size, 3))
     for part in texturing.parts:
         total[part.places] += (texturing.mixed(part, loadings) @ part.colours).reshape(-1, 3)
@@ -102,7 +100,7 @@ def test_the_mouth_is_chosen_by_lips_and_the_eyes_by_lids(person):
                 component, landmark_places(group)
             ]
     told = person.with_landmarks(replace(person.landmarks, weights=weights))
-    texturing = Texturing(told)
+    texturing = MixedColours(told)
     upper, lower, _ = texturing.parts
     assert not upper.shape[0].any() and upper.shape[1].any()
     assert not lower.shape[1].any() and lower.shape[0].any()
@@ -117,9 +115,3 @@ def test_gaps_are_between_points_that_face_each_other():
     assert gaps.shape == (9, 2)
     assert_allclose(gaps[:, 0], 0, atol=1e-12)
     assert_allclose(gaps[:, 1], 2 * np.sin(angles[1:10]), atol=1e-12)
-
-
-def test_the_offset_is_laid_out_as_the_model_computes(person):
-    vector = Texturing(person).offset(person.training.values[1])
-    texture, displacement = parts_of(vector, *person.mask.shape)
-    assert np.array_equal(vector, vector_of(texture, displacement)) and vector.dtype == np.float32

@@ -19,10 +19,10 @@ from morphspace.io.images import write_image
 from morphspace.linear.pca import Basis
 from morphspace.linear.quality import psnr_db
 from morphspace.model.from_clip import build_model
-from morphspace.model.morph import Morph, MorphOffset, parts_of, vector_of
+from morphspace.model.morph import Morph, MorphOffset
 from morphspace.synthetic import Expression, Identity
 from morphspace.synthetic.drawn import drawn_actor
-from morphspace.transfer.mimicry import auto_gain, mimic, offset_of
+from morphspace.transfer.mimicry import auto_gain, mimic
 
 pytestmark = pytest.mark.slow  # they build models
 
@@ -99,7 +99,7 @@ def built(drawn, tmp_path_factory):
 
 def faces(source, target, method="map", **more):
     to_target = mimic(source, target, method, **more)
-    return [to_target(offset_of(source, row)) for row in source.training.values]
+    return [to_target(source.offset(row)) for row in source.training.values]
 
 
 def mirror(image):
@@ -107,9 +107,9 @@ def mirror(image):
 
 
 def mirrored_offset(offset):
-    return MorphOffset(
-        np.ascontiguousarray(mirror(offset.displacement) * np.float32((-1, 1))),
+    return MorphOffset.of(
         np.ascontiguousarray(mirror(offset.texture)),
+        np.ascontiguousarray(mirror(offset.displacement) * np.float32((-1, 1))),
         offset.reference_id,
     )
 
@@ -119,21 +119,19 @@ def mirrored_model(model):
     height, width = model.mask.shape
 
     def flipped(vector):
-        texture, displacement = parts_of(vector, height, width)
-        offset = mirrored_offset(MorphOffset(displacement, texture, "r"))
-        return vector_of(offset.texture, offset.displacement)
+        return mirrored_offset(MorphOffset(vector, (height, width), "r")).vector
 
-    weight = parts_of(model.basis.weight, height, width)
-    mean = mirrored_offset(MorphOffset(model.mean.displacement, model.mean.texture, model.mean.reference_id))
+    weight = MorphOffset(model.basis.weight, (height, width), "r")
+    mean = mirrored_offset(MorphOffset(model.mean.vector, (height, width), model.mean.reference_id))
     points = model.faceframe.points
     there = np.column_stack([width - 1 - points[:, 0], points[:, 1]])[[1, 0, 2]]
     return replace(
         model,
-        mean=Morph(mean.displacement, mean.texture, mean.reference_id),
+        mean=Morph(mean.vector, mean.shape, mean.reference_id),
         basis=Basis(
             np.stack([flipped(np.asarray(row)) for row in model.basis.components]),
             model.basis.variances,
-            vector_of(*(np.ascontiguousarray(mirror(part)) for part in weight)),
+            MorphOffset.of(mirror(weight.texture), mirror(weight.displacement), "r").vector,
             model.basis.discarded_variance,
         ),
         mask=np.ascontiguousarray(mirror(model.mask)),
@@ -147,8 +145,8 @@ def test_a_mirrored_model_mimics_in_the_mirror(built, method):
     there = mimic(mirrored_model(source), mirrored_model(target), method)
     here = mimic(source, target, method)
     for row in source.training.values[1:4]:
-        one = here(offset_of(source, row))
-        other = there(mirrored_offset(offset_of(source, row)))
+        one = here(source.offset(row))
+        other = there(mirrored_offset(source.offset(row)))
         assert_allclose(other.loadings, one.loadings, atol=1e-3 * np.sqrt(target.basis.variances[0]))
         expected = one.morph.displacement * np.float32((-1, 1))
         assert np.abs(mirror(other.morph.displacement) - expected).max() < 0.02  # px
@@ -218,7 +216,7 @@ def test_gain_0_is_the_mean_whatever_drives(built, method):
 def test_models_of_other_sizes_are_resampled(built):
     """Carried to a model of another size a displacement keeps its length in eye distances."""
     small, large = built("anna"), built("anna", "scaled")
-    offset = offset_of(small, small.training.values[2])
+    offset = small.offset(small.training.values[2])
     made = mimic(small, large, "map", max_sd=1e3)(offset)
     moved = made.morph.displacement - large.mean.displacement
     wanted = 1.3 * cv2.resize(offset.displacement, large.size, interpolation=cv2.INTER_LINEAR)
@@ -249,15 +247,15 @@ def test_a_degenerate_faceframe_is_refused_whoever_has_it(built, points, words):
 def test_the_affine_of_the_faceframes_is_what_links_the_models(built):
     """Keypoints of the source moved with its picture change nothing: mimicry knows faces, not frames."""
     source, target = built("anna"), built("ben")
-    offset = offset_of(source, source.training.values[3])
+    offset = source.offset(source.training.values[3])
     shift = np.array([[1.0, 0, 4], [0, 1, -3]])
     moved = replace(
         source, faceframe=source.faceframe.moved(warp.apply_affine(shift, source.faceframe.points))
     )
     height, width = source.mask.shape
     back = warp.affine_displacement(warp.inverse_affine(shift), height, width)
-    there = MorphOffset(
-        warp.sample(offset.displacement, back), warp.sample(offset.texture, back), offset.reference_id
+    there = MorphOffset.of(
+        warp.sample(offset.texture, back), warp.sample(offset.displacement, back), offset.reference_id
     )
     one = mimic(source, target, "paper", max_sd=1e3)(offset).loadings
     other = mimic(moved, target, "paper", max_sd=1e3)(there).loadings

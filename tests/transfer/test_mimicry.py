@@ -13,21 +13,12 @@ from morphspace.grid import warp
 from morphspace.model.keypoints import DetectedFaceframe, landmarks_of
 from morphspace.model.landmarks import LandmarkRegression
 from morphspace.model.model import MorphModel
-from morphspace.model.morph import MorphOffset, vector_of
-from morphspace.transfer.mimicry import (
-    FEATURE_WEIGHT,
-    GAIN_RANGE,
-    GUIDES,
-    METHODS,
-    Passage,
-    auto_gain,
-    feature_weights,
-    guide_of,
-    mimic,
-    offset_of,
-)
-from morphspace.transfer.neutral import Recentring
-from morphspace.transfer.probable import Guide, Solver, bounded
+from morphspace.model.morph import MorphOffset
+from morphspace.transfer.guided import GUIDES, landmark_guide
+from morphspace.transfer.mimicry import GAIN_RANGE, METHODS, auto_gain, mimic
+from morphspace.transfer.neutral import Neutral
+from morphspace.transfer.probable import FEATURE_WEIGHT, bounded, feature_weights
+from morphspace.transfer.projection import Projection
 
 FRAME = FaceFrame((20.0, 30.0), (41.0, 29.0), (30.0, 44.0))
 
@@ -61,7 +52,7 @@ def faces(model):
 def test_a_face_drives_itself_unchanged(person, method):
     to_target = mimic(person, person, method, max_sd=1e3)
     for loadings in faces(person):
-        made = to_target(offset_of(person, loadings))
+        made = to_target(person.offset(loadings))
         assert_allclose(made.loadings, loadings, atol=0.02 * np.abs(faces(person)).max())
         apart = np.abs(made.morph.render() - person.render(loadings))
         assert np.quantile(apart, 0.99) < 0.02  # this face folds at the lips, and `transfer` draws no folds
@@ -71,8 +62,8 @@ def test_a_face_drives_itself_unchanged(person, method):
 
 @pytest.mark.parametrize("method", METHODS)
 def test_no_difference_and_no_gain_are_the_mean_face(person, method):
-    rest = mimic(person, person, method)(offset_of(person, np.zeros(person.rank)))
-    still = mimic(person, person, method, gain=0.0)(offset_of(person, faces(person)[3]))
+    rest = mimic(person, person, method)(person.offset(np.zeros(person.rank)))
+    still = mimic(person, person, method, gain=0.0)(person.offset(faces(person)[3]))
     for made in (rest, still):
         assert_allclose(made.loadings, 0, atol=1e-6)
         assert_allclose(made.morph.render(), person.render(np.zeros(person.rank)), atol=1e-5)
@@ -80,7 +71,7 @@ def test_no_difference_and_no_gain_are_the_mean_face(person, method):
 
 @pytest.mark.parametrize("method", METHODS)
 def test_gain_scales_the_loadings(person, method):
-    offset = offset_of(person, faces(person)[2])
+    offset = person.offset(faces(person)[2])
     one, half = (mimic(person, person, method, gain=gain, max_sd=1e3)(offset).loadings for gain in (1.0, 0.5))
     assert_allclose(half, 0.5 * one, rtol=1e-6)
 
@@ -93,9 +84,9 @@ def test_a_face_whose_loadings_are_known_is_the_same(person, method, rests):
         person, basis=replace(person.basis, discarded_variance=1e-3)
     )  # or landmarks hardly count
     loadings = 0.9 * faces(person)[2]
-    offset = offset_of(person, loadings)
-    origin = resting(person, faces(person)[3], faces(person)[5]) if rests else None
-    to_target = mimic(person, person, method, origin=origin)
+    offset = person.offset(loadings)
+    neutral = resting(person, faces(person)[3], faces(person)[5]) if rests else None
+    to_target = mimic(person, person, method, neutral=neutral)
     read, known = to_target(offset), to_target(offset, loadings)
     assert_allclose(known.loadings / person.sd, read.loadings / person.sd, atol=2e-4)
     assert_allclose(known.morph.render(), read.morph.render(), atol=2e-4)
@@ -106,19 +97,26 @@ def test_a_face_whose_loadings_are_known_is_the_same(person, method, rests):
 
 def test_equal_models_may_change_places(person):
     other = replace(person, provenance={**person.provenance, "identity": "twin"})
-    offset = offset_of(person, faces(person)[1])
+    offset = person.offset(faces(person)[1])
     there, back = mimic(person, other, "map")(offset), mimic(other, person, "map")(offset)
     assert_array_equal(there.loadings, back.loadings)
 
 
 def test_the_paper_takes_inner_products(person):
     target, _ = turned(person, 0.0)
-    offset = offset_of(person, faces(person)[4])
-    vector = vector_of(offset.texture, offset.displacement)
-    expected = (person.basis.weight * vector) @ np.asarray(person.basis.components, np.float64).T
+    offset = person.offset(faces(person)[4])
+    expected = (person.basis.weight * offset.vector) @ np.asarray(person.basis.components, np.float64).T
     assert_allclose(
         mimic(person, target, "paper", max_sd=1e3)(offset).loadings, expected, rtol=1e-4, atol=1e-5
     )
+
+
+@pytest.mark.parametrize(("degrees", "scale"), [(0.0, 1.0), (20.0, 1.2)])
+def test_the_papers_equation_is_the_mimicry_by_paper(person, degrees, scale):
+    target, _ = turned(person, degrees, scale)
+    face = person.expand(1.5 * faces(person)[4])
+    made = mimic(person, target, "paper", max_sd=1e9)(face - person.mean).morph
+    assert_allclose(Projection(person, target).mimicry(face).vector, made.vector, atol=1e-6)
 
 
 @pytest.mark.parametrize(("degrees", "scale"), [(0.0, 1.0), (20.0, 1.0), (0.0, 1.2), (-15.0, 0.8)])
@@ -128,10 +126,10 @@ def test_displacements_turn_and_scale_with_the_face(person, wavy_field, degrees,
     height, width = person.mask.shape
     field = wavy_field(height, width, 3.0, seed=4, sd_px=10.0)
     texture = np.zeros((height, width, 3), np.float32)
-    passage = Passage(person, target)
-    carried = passage.carried(MorphOffset(field, texture, person.mean.reference_id))
+    projection = Projection(person, target)
+    carried = projection.carried(MorphOffset.of(texture, field, person.mean.reference_id))
     points = np.stack(np.meshgrid(np.arange(22, 38), np.arange(28, 44)), -1).reshape(-1, 2).astype(float)
-    there = warp.apply_affine(passage.affine, points)
+    there = warp.apply_affine(projection.affine, points)
     found = warp.move_points(carried.displacement, there) - there
     expected = field[points[:, 1].astype(int), points[:, 0].astype(int)] @ linear.T
     assert_allclose(found, expected, atol=0.02 * 3.0)
@@ -140,24 +138,14 @@ def test_displacements_turn_and_scale_with_the_face(person, wavy_field, degrees,
 def test_beyond_the_source_nothing_is_known_to_differ(person):
     target, _ = turned(person, 0.0, 0.5)
     height, width = person.mask.shape
-    ones = MorphOffset(np.ones((height, width, 2), np.float32), np.ones((height, width, 3), np.float32), "r")
-    passage = Passage(person, target)
-    carried = passage.carried(ones)
-    assert carried.texture[0, 0].max() == 0 and carried.displacement[-1, -1].max() == 0
-    assert passage.seen[0, 0] == 0 and passage.seen.max() > 0.9
-    assert carried.reference_id == target.mean.reference_id
-
-
-def test_the_posterior_is_the_dense_formula(person):
-    rng = np.random.default_rng(0)
-    weight = (rng.random(person.basis.weight.size) * (rng.random(person.basis.weight.size) < 0.5)).astype(
-        np.float32
+    ones = MorphOffset.of(
+        np.ones((height, width, 3), np.float32), np.ones((height, width, 2), np.float32), "r"
     )
-    offset = rng.standard_normal(weight.size).astype(np.float32)
-    components = np.asarray(person.basis.components, np.float64)
-    prior = np.diag(0.3 / person.basis.variances)
-    expected = np.linalg.solve((components * weight) @ components.T + prior, components @ (weight * offset))
-    assert_allclose(Solver(person, weight, 0.3).loadings(offset), expected, rtol=1e-4, atol=1e-6)
+    projection = Projection(person, target)
+    carried = projection.carried(ones)
+    assert carried.texture[0, 0].max() == 0 and carried.displacement[-1, -1].max() == 0
+    assert projection.seen[0, 0] == 0 and projection.seen.max() > 0.9
+    assert carried.reference_id == target.mean.reference_id
 
 
 def test_the_bound_keeps_order_and_small_loadings():
@@ -172,7 +160,7 @@ def test_the_bound_keeps_order_and_small_loadings():
 
 @pytest.mark.parametrize("method", METHODS)
 def test_no_component_goes_beyond_the_bound_and_it_is_told(person, method):
-    wild = offset_of(person, 30 * person.sd)
+    wild = person.offset(30 * person.sd)
     made = mimic(person, person, method, max_sd=2.0)(wild)
     assert np.abs(made.loadings / person.sd).max() <= 2.0
     assert made.quality.bounded == person.rank
@@ -215,33 +203,20 @@ def test_lids_brows_and_lips_weigh_more_where_they_are_known(person):
 # landmarks
 
 
-def test_the_guided_posterior_is_the_dense_formula(person):
-    rng = np.random.default_rng(1)
-    weight = rng.random(person.basis.weight.size).astype(np.float32)
-    offset = rng.standard_normal(weight.size).astype(np.float32)
-    guide = Guide(rng.standard_normal((person.rank, 8)), rng.random(8), np.zeros((person.rank, 8)))
-    moved = rng.standard_normal(8)
-    components = np.asarray(person.basis.components, np.float64)
-    noise = 0.3
-    known = (components * weight) @ components.T / noise + np.diag(1 / person.basis.variances)
-    known += (guide.weights * guide.precision) @ guide.weights.T
-    told = components @ (weight * offset) / noise + guide.weights @ (guide.precision * moved)
-    found = Solver(person, weight, noise, guide).loadings(offset, moved)
-    assert_allclose(found, np.linalg.solve(known, told), rtol=1e-4, atol=1e-6)
-
-
 def test_landmarks_turn_and_scale_with_the_face(person):
     target, linear = turned(person, 20.0, 1.2)
-    guide = guide_of(Passage(person, target))
+    guide = landmark_guide(Projection(person, target))
     loadings = faces(person)[2]
     places = [place for group in GUIDES for place in range(*landmark_places(group).indices(len(LANDMARKS)))]
     expected = person.landmarks.moved(loadings)[places] @ linear.T
-    assert_allclose((loadings @ guide.asked).reshape(-1, 2), expected, atol=1e-9)
+    assert_allclose(guide.moved(loadings).reshape(-1, 2), expected, atol=1e-9)
 
 
 def test_landmarks_that_err_more_count_less(person):
-    sure, unsure = (guide_of(Passage(person, knowing(person, error_px=error))) for error in (1.0, 4.0))
-    assert_allclose(unsure.precision, sure.precision * 2 / 17)
+    sure, unsure = (
+        landmark_guide(Projection(person, knowing(person, error_px=error))) for error in (1.0, 4.0)
+    )
+    assert_allclose(unsure.observations.precision, sure.observations.precision * 2 / 17)
 
 
 def test_what_only_the_landmarks_tell_reaches_the_target(person):
@@ -255,7 +230,7 @@ def test_what_only_the_landmarks_tell_reaches_the_target(person):
     target_weights = np.zeros_like(weights)
     target_weights[0] = told.landmarks.weights[0]
     target = told.with_landmarks(replace(told.landmarks, weights=target_weights))
-    asked = offset_of(source, np.array([0.0, 0.0, 1.0]) * source.sd)
+    asked = source.offset(np.array([0.0, 0.0, 1.0]) * source.sd)
     plain, guided = (mimic(source, target, method)(asked).loadings for method in ("transfer", "guided"))
     assert abs(plain[0]) < 0.1 * target.sd[0] < 0.3 * target.sd[0] < guided[0]
 
@@ -267,18 +242,18 @@ def test_without_a_regression_the_command_is_named(person):
             mimic(source, target, "guided")
 
 
-# rest
+# neutral
 
 
 def resting(person, source, target):
-    return Recentring(source, target, "a", "b", None, None)
+    return Neutral("a,b", source, target, "a", "b")
 
 
 @pytest.mark.parametrize("method", METHODS)
-def test_the_source_at_rest_gives_the_target_at_rest(person, method):
+def test_the_neutral_source_gives_the_neutral_target(person, method):
     from_source, from_target = faces(person)[3], faces(person)[5]
-    origin = resting(person, from_source, from_target)
-    made = mimic(person, person, method, max_sd=1e3, origin=origin)(offset_of(person, from_source))
+    neutral = resting(person, from_source, from_target)
+    made = mimic(person, person, method, max_sd=1e3, neutral=neutral)(person.offset(from_source))
     assert_allclose(made.loadings, from_target, atol=1e-5)
     apart = np.abs(made.morph.render() - person.render(from_target))
     assert np.quantile(apart, 0.99) < 0.02
@@ -287,13 +262,13 @@ def test_the_source_at_rest_gives_the_target_at_rest(person, method):
 @pytest.mark.parametrize("method", METHODS)
 def test_one_neutral_frame_for_both_changes_nothing_between_equal_models(person, method):
     rest = faces(person)[3]
-    offset = offset_of(person, faces(person)[1])
+    offset = person.offset(faces(person)[1])
     plain = mimic(person, person, method, max_sd=1e3)(offset).loadings
-    moved = mimic(person, person, method, max_sd=1e3, origin=resting(person, rest, rest))(offset).loadings
+    moved = mimic(person, person, method, max_sd=1e3, neutral=resting(person, rest, rest))(offset).loadings
     assert_allclose(moved, plain, atol=0.05 * np.abs(faces(person)).max())
 
 
-def test_an_origin_of_other_models_is_refused(person):
-    origin = resting(person, np.zeros(5), np.zeros(person.rank))
-    with pytest.raises(BadInput, match="5 loadings for drawn, whose model has 3"):
-        mimic(person, person, origin=origin)
+def test_neutral_faces_of_other_models_are_refused(person):
+    neutral = resting(person, np.zeros(5), np.zeros(person.rank))
+    with pytest.raises(BadInput, match="neutral face of drawn has 5 loadings, its model has 3"):
+        mimic(person, person, neutral=neutral)

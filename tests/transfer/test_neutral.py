@@ -1,4 +1,4 @@
-"""Laws of what counts as rest: like means are left alone, unlike ones are led to the frame nearest to the other."""
+"""Laws of neutral faces: like means are left alone, unlike ones are led to the frame nearest to the other."""
 
 from dataclasses import replace
 
@@ -10,7 +10,7 @@ from morphspace.errors import BadInput
 from morphspace.face.faceframe import FaceFrame
 from morphspace.face.mesh import LIPS, POINT_COUNT
 from morphspace.model.keypoints import DetectedFaceframe
-from morphspace.transfer.neutral import FAR_APART, automatic_recentring, means_apart, recentring_on
+from morphspace.transfer.neutral import FAR_APART, means_apart, neutral_of
 
 FRAME = FaceFrame((20.0, 30.0), (41.0, 29.0), (30.0, 44.0))
 EYES_PX = float(np.hypot(21, 1))
@@ -45,12 +45,14 @@ def test_a_moved_and_larger_faceframe_changes_nothing(model):
 
 def test_without_mesh_points_nothing_is_known(model):
     plain = model.with_faceframe(FRAME)
-    assert means_apart(plain, marked(model)) is None and automatic_recentring(plain, marked(model)) is None
-    assert recentring_on(plain, plain, "frame_001").apart_before is None
+    assert means_apart(plain, marked(model)) is None and neutral_of(plain, marked(model)).is_means
+    assert neutral_of(plain, plain, "frame_001").apart is None
 
 
 def test_like_means_are_left_alone(model):
-    assert automatic_recentring(marked(model), marked(model, 0.3)) is None
+    neutral = neutral_of(marked(model), marked(model, 0.3))
+    assert neutral.is_means and neutral.means_apart == neutral.apart > 0
+    assert neutral.offsets(model, model) == (None, None)
 
 
 def test_an_open_mean_is_reached_by_the_frame_that_opens_as_far(model):
@@ -77,28 +79,28 @@ def test_an_open_mean_is_reached_by_the_frame_that_opens_as_far(model):
     found = DetectedFaceframe(FRAME, np.zeros(3), target_points, 40, 40)
     target = model.with_faceframe(found.faceframe, found.origin)
     assert means_apart(source, target) > FAR_APART
-    origin = automatic_recentring(source, target)
-    assert origin.source_frame == model.training.frame_names[openest] and origin.target_frame is None
-    assert_array_equal(origin.source, model.training.values[openest])
-    assert_array_equal(origin.target, 0)
-    assert origin.apart_after < 0.7 * origin.apart_before
+    neutral = neutral_of(source, target)
+    assert neutral.source_frame == model.training.frame_names[openest] and neutral.target_frame is None
+    assert_array_equal(neutral.source, model.training.values[openest])
+    assert_array_equal(neutral.target, 0)
+    assert neutral.apart < 0.7 * neutral.means_apart
 
 
 def test_no_frame_much_nearer_leaves_the_means(model):
     still = replace(marked(model), training=replace(model.training, values=0 * model.training.values))
     assert means_apart(still, marked(model, 6.0)) > FAR_APART
-    assert automatic_recentring(still, marked(model, 6.0)) is None
+    assert neutral_of(still, marked(model, 6.0)).is_means
 
 
 def test_frames_are_named_with_or_without_suffix(model):
     names = ("a.png", "b.png", "b.jpg", *model.training.frame_names[3:])
     here = replace(marked(model), training=replace(model.training, frame_names=names))
-    origin = recentring_on(here, here, "a", "b.jpg")
-    assert (origin.source_frame, origin.target_frame) == ("a.png", "b.jpg")
-    assert_allclose(origin.source, model.training.values[0])
-    assert_allclose(origin.target, model.training.values[2])
-    assert recentring_on(here, here, "b.png").target_frame is None
+    neutral = neutral_of(here, here, "a,b.jpg")
+    assert (neutral.source_frame, neutral.target_frame) == ("a.png", "b.jpg")
+    assert_allclose(neutral.source, model.training.values[0])
+    assert_allclose(neutral.target, model.training.values[2])
+    assert neutral_of(here, here, "b.png").target_frame is None
     with pytest.raises(BadInput, match="2 training frames of drawn are called 'b'"):
-        recentring_on(here, here, "b")
+        neutral_of(here, here, "b")
     with pytest.raises(BadInput, match=r"no training frame 'c.*a.png to frame_011"):
-        recentring_on(here, here, "c")
+        neutral_of(here, here, "c")

@@ -489,7 +489,7 @@ def linked(work, model):
     stimulus.save(work / "drawn.morph")
     basis = replace(model.basis, components=np.ascontiguousarray(-model.basis.components))
     training = replace(model.training, values=-model.training.values, model_id="ffff0123ffff0123")
-    mean = Morph(model.mean.displacement, (1 - model.mean.texture).astype(np.float32), "e2a11f0123456789")
+    mean = Morph.of((1 - model.mean.texture).astype(np.float32), model.mean.displacement, "e2a11f0123456789")
     other = replace(
         stimulus,
         mean=mean,

@@ -34,16 +34,15 @@ from morphspace.linear.rows import RowArray
 from morphspace.model.encode import energy_outside, notes_on_enlarging, notes_on_framing
 from morphspace.model.keypoints import how_to_learn, required_landmarks
 from morphspace.model.model import Loadings, MorphModel, inner_product, load_model, model_digest
-from morphspace.model.morph import Morph, parts_of, vector_of
+from morphspace.model.morph import Morph, MorphOffset
 from morphspace.report.mimic_page import HEADINGS, LEFT_OUT
 from morphspace.sets import mimicry, models
 from morphspace.sets.mimicry import FinishedFrames, frame_steps
 from morphspace.steps import result_of, worker_count
 from morphspace.transfer import neutral
 from morphspace.transfer.driver import Driver
-from morphspace.transfer.mimicry import METHODS, Quality, auto_gain, mimic, offset_of
-from morphspace.transfer.neutral import Recentring
-from morphspace.transfer.quality import Reach, reach_of
+from morphspace.transfer.mimicry import METHODS, auto_gain, mimic
+from morphspace.transfer.quality import Quality, Reach, reach_of
 from morphspace.transfer.quality_table import COLUMNS, DECIMALS, OUT_OF_RANGE, FaceSeen, FrameMade, made_of
 from morphspace.verbs import mimic as verb
 from morphspace.verbs.mimic import MimicRequest
@@ -73,11 +72,10 @@ def other(picture, wavy_field):
     amounts -= amounts.mean(axis=0)
     face = picture(height, width, seed=11)
     fields = [wavy_field(height, width, 1.5, seed=seed) for seed in (4, 5)]
-    rows = [vector_of(face, (a * fields[0] + b * fields[1]).astype(np.float32)) for a, b in amounts]
+    rows = [Morph.of(face, a * fields[0] + b * fields[1], "").vector for a, b in amounts]
     mask = face_mask(height, width)
     mean, basis, loadings = fit_basis(RowArray(np.stack(rows)), inner_product(mask, 0.1), 5)
-    texture, displacement = parts_of(mean, height, width)
-    mean_morph = Morph(displacement, texture, "aa00112233445566")
+    mean_morph = Morph(mean, (height, width), "aa00112233445566")
     provenance = {
         "identity": "other",
         "framing": {"source_size": [width, height], "crop": None, "size": [width, height]},
@@ -421,19 +419,23 @@ def test_an_out_of_range_frame_is_flagged_and_stays_inside_the_bound(work):
 
 
 def test_what_a_target_cannot_show_is_missing_and_oneself_misses_nothing(work, actor):
-    offset = offset_of(actor, actor.training.values[2])
-    own = reach_of(actor, actor, 1.0)(offset, mimic(actor, actor, "paper", max_sd=LOOSE)(offset))
+    offset = actor.offset(actor.training.values[2])
+    loadings = actor.training.values[2]
+
+    def judged(asked_gain, method="transfer", **settings):
+        made = mimic(actor, actor, method, **settings)(offset)
+        return reach_of(actor, actor, asked_gain)(offset, made.morph, made.loadings, loadings)
+
+    own = judged(1.0, "paper", max_sd=LOOSE)
     assert own.missing_motion < 0.01 and own.colour_agreement == pytest.approx(1, abs=0.02)
-    still = reach_of(actor, actor, 1.0)(offset, mimic(actor, actor, gain=0.0)(offset))
+    still = judged(1.0, gain=0.0)
     lengths = np.hypot(*np.moveaxis(offset.displacement[actor.mask > 0.9], -1, 0))
     assert still.missing_motion == pytest.approx(np.quantile(lengths, 0.95) / 20, rel=0.3)
     assert still.colour_agreement == 0
-    anti = reach_of(actor, actor, 1.0)(offset, mimic(actor, actor, "paper", gain=-1.0, max_sd=LOOSE)(offset))
+    anti = judged(1.0, "paper", gain=-1.0, max_sd=LOOSE)
     assert anti.colour_agreement == pytest.approx(-own.colour_agreement, abs=0.02)
     assert anti.missing_motion == pytest.approx(2 * still.missing_motion, rel=0.05)
-    asked = reach_of(actor, actor, -1.0)(
-        offset, mimic(actor, actor, "paper", gain=-1.0, max_sd=LOOSE)(offset)
-    )
+    asked = judged(-1.0, "paper", gain=-1.0, max_sd=LOOSE)
     assert asked.missing_motion < 0.01
 
 
@@ -554,15 +556,12 @@ def test_driving_frames_of_another_person_are_said_to_be(work, actor, other):
 
 def test_energy_outside_is_what_the_components_leave(actor):
     """Half a training face lies inside; what no component holds counts by its energy in the model's variances."""
-    offset = offset_of(actor, 0.5 * actor.training.values[0])
+    offset = actor.offset(0.5 * actor.training.values[0])
     assert energy_outside(offset, actor) < 1e-4
     rng = np.random.default_rng(2)
     values = rng.standard_normal(actor.basis.components.shape[1]).astype(np.float32)
     values -= actor.basis.expand(actor.basis.project(values))
-    texture, displacement = parts_of(values, *actor.mask.shape)
-    stranger = dataclasses.replace(
-        offset, texture=offset.texture + texture, displacement=offset.displacement + displacement
-    )
+    stranger = offset + MorphOffset(values, offset.shape, offset.reference_id)
     energy = (actor.basis.weight * values * values).sum()
     variance = actor.basis.variances.sum() + actor.basis.discarded_variance
     assert energy_outside(stranger, actor) == pytest.approx(energy / variance, rel=1e-4)
@@ -738,8 +737,9 @@ def test_named_resting_frames_show_each_other(work, actor, other):
 def test_the_means_are_moved_where_they_lie_apart_and_not_where_it_is_forbidden(
     work, actor, other, monkeypatch
 ):
-    moved = Recentring(actor.training.values[5], np.zeros(2), "frame_005", None, 0.09, 0.04)
-    monkeypatch.setattr(neutral, "automatic_recentring", lambda source, target: moved)
+    apart = np.full(len(actor.training.values), 0.09)
+    apart[5] = 0.04
+    monkeypatch.setattr(neutral, "_lips_apart", lambda *faces: apart)
     monkeypatch.setattr(neutral, "means_apart", lambda source, target: 0.09)
     notes = run(work, method="paper", max_sd=LOOSE).warnings
     assert_allclose(read_loadings_table(work / "out" / "loadings.csv").loadings_sd[5], 0, atol=1e-6)
@@ -748,7 +748,7 @@ def test_the_means_are_moved_where_they_lie_apart_and_not_where_it_is_forbidden(
     notes = run(work, method="paper", max_sd=LOOSE, neutral="mean").warnings
     assert not any("re-centred" in note for note in notes)
     assert any("9.0% of the eye distance apart: what is neutral" in note for note in notes)
-    monkeypatch.setattr(neutral, "automatic_recentring", lambda source, target: None)
+    apart[5] = 0.09
     assert any("no frame of drawn comes much nearer" in note for note in run(work).warnings)
     monkeypatch.setattr(neutral, "means_apart", lambda source, target: 0.03)
     assert not any("eye distance apart" in note for note in run(work).warnings)

@@ -69,7 +69,7 @@ def other(model):
     field = np.zeros((height, width, 2), np.float32)
     field[..., 0] = 1.5 * across + 2.0
     wide = warp.render(model.mean.texture, field) * np.float32(0.8)
-    mean = Morph(np.zeros_like(field), wide.astype(np.float32), "0123456789abcdef")
+    mean = Morph.of(wide.astype(np.float32), np.zeros_like(field), "0123456789abcdef")
     points = warp.move_points(field, FACEFRAME.points)
     training = replace(model.training, model_id="fedcba9876543210")
     provenance = {**model.provenance, "identity": "bob", "licence": "CC BY"}

@@ -1,0 +1,85 @@
+"""Laws of the posterior: it is the dense formula of Tipping and Bishop, of a part of the offset, with observations."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+from morphspace.errors import BadInput
+from morphspace.linear.pca import Basis
+from morphspace.linear.posterior import NOISE_FLOOR, Observations, Posterior
+
+RANK, D = 4, 300
+
+
+@pytest.fixture
+def basis():
+    rows = np.linalg.qr(np.random.default_rng(0).standard_normal((D, RANK)))[0].T.astype(np.float32)
+    return Basis(rows, np.array([40.0, 4.0, 0.3, 0.02]), np.ones(D, np.float32), 0.003)
+
+
+@pytest.fixture
+def weight():
+    rng = np.random.default_rng(1)
+    return (rng.random(D) * (rng.random(D) < 0.5)).astype(np.float32)
+
+
+@pytest.fixture
+def offset():
+    return np.random.default_rng(2).standard_normal(D).astype(np.float32)
+
+
+def dense(basis, weight, offset, noise):
+    """The formula as it stands: (P C P' + s^2 V^-1)^-1 P C r."""
+    components = np.asarray(basis.components, np.float64)
+    known = (components * weight) @ components.T + np.diag(noise / basis.variances)
+    return np.linalg.solve(known, components @ (weight * offset))
+
+
+@pytest.mark.parametrize("factor", [1.0, 100.0, 5000.0])
+def test_it_is_the_dense_formula(basis, weight, offset, factor):
+    found = Posterior(basis, weight, factor).mean(offset)
+    assert_allclose(found, dense(basis, weight, offset, factor * 0.003), rtol=1e-4, atol=1e-6)
+
+
+def test_with_observations_it_is_the_dense_formula(basis, weight, offset):
+    rng = np.random.default_rng(3)
+    seen = Observations(rng.standard_normal((RANK, 8)), rng.random(8))
+    observed = rng.standard_normal(8)
+    noise = 100 * 0.003
+    components = np.asarray(basis.components, np.float64)
+    known = (components * weight) @ components.T / noise + np.diag(1 / basis.variances)
+    known += (seen.weights * seen.precision) @ seen.weights.T
+    told = components @ (weight * offset) / noise + seen.weights @ (seen.precision * observed)
+    found = Posterior(basis, weight, 100.0, seen).mean(offset, observed)
+    assert_allclose(found, np.linalg.solve(known, told), rtol=1e-4, atol=1e-6)
+
+
+def test_faces_known_by_their_loadings_give_the_mean_of_what_they_expand_to(basis, weight):
+    loadings = np.random.default_rng(4).standard_normal((5, RANK))
+    posterior = Posterior(basis, weight, 100.0)
+    read = [posterior.mean(face) for face in basis.expand(loadings)]
+    assert_allclose(posterior.mean_of_faces(loadings), read, atol=1e-5)
+
+
+def test_a_model_that_leaves_nothing_out_has_a_little_noise(basis, weight, offset):
+    whole = replace(basis, discarded_variance=0.0)
+    least = NOISE_FLOOR * 0.02
+    assert Posterior(whole, weight, 5000.0).noise == pytest.approx(least)
+    found = Posterior(whole, weight, 5000.0).mean(offset)
+    assert_allclose(found, dense(whole, weight, offset, least), rtol=1e-4, atol=1e-5)
+    hidden = Posterior(whole, np.zeros(D, np.float32), 1.0)
+    assert_allclose(hidden.mean(offset), 0)
+
+
+def test_a_component_that_never_varied_stays_at_the_mean(basis, weight, offset):
+    still = replace(basis, variances=np.array([40.0, 4.0, 0.3, 0.0]))
+    found = Posterior(still, weight, 100.0).mean(offset)
+    assert found[3] == 0 and np.isfinite(found).all()
+
+
+def test_a_basis_without_components_is_refused(weight):
+    empty = Basis(np.zeros((0, D), np.float32), np.zeros(0), np.ones(D, np.float32), 0.0)
+    with pytest.raises(BadInput, match="no component"):
+        Posterior(empty, weight, 1.0)
