@@ -46,9 +46,9 @@ class Originals:
         return morph_of(aligned, shown.displacement, shown.reference_id)
 
     @property
-    def identity(self) -> bool:
+    def identity(self) -> str:
         """What the morphs depend on beside the model, which says itself what files it comes from."""
-        return self.model.anchor is not None
+        return self.model.reading
 
 
 def originals_of(models: Sequence[MorphModel], clips: Sequence[Clip] | None) -> list[Originals | None]:

@@ -17,7 +17,8 @@ from typing import Any
 import numpy as np
 
 from morphspace.arrays import Affine, AnyArray, Displacement, Image, Points
-from morphspace.face.detector import Detector, load_detector, models_present
+from morphspace.errors import BadInput
+from morphspace.face.detector import Detector, load_detector
 from morphspace.face.mesh import (
     FACE_OUTLINE,
     LEFT_BROW,
@@ -103,15 +104,31 @@ def anchor_on(reference: Image, detector: Detector) -> FaceAnchor | None:
 
 
 def anchor_of_build(reference: Image, provenance: Mapping[str, Any]) -> FaceAnchor | None:
-    """Give the face that a model's build had found in its reference, and the detector; None where there is neither now.
+    """Find again the face that a model's build found in its reference (h, w, 3).
 
     It starts the registration of every frame, and holds the flow where `was_anchored`.
+
+    Returns
+    -------
+    The face and the detector; None for a model that was built without them.
+
+    Raises
+    ------
+    MissingModels
+        The build found a face, and the detector's networks are missing.
+    BadInput
+        The detector finds no face where the build found one.
     """
     told = provenance.get("landmarks")
-    known = isinstance(told, Mapping) and bool(told.get("reference_has_face"))
-    if not known or not models_present():
+    if not (isinstance(told, Mapping) and told.get("reference_has_face")):
         return None
-    return anchor_on(np.array(reference), load_detector())
+    anchor = anchor_on(np.array(reference), load_detector())
+    if anchor is None:
+        raise BadInput(
+            "the detector finds no face in the reference, where the build found one: build the model again with this "
+            "morphspace"
+        )
+    return anchor
 
 
 def was_anchored(provenance: Mapping[str, Any]) -> bool:

@@ -9,9 +9,6 @@ import numpy as np
 
 from morphspace.arrays import Image, LoadingVector
 from morphspace.errors import BadInput
-from morphspace.face.anchor import was_anchored
-from morphspace.face.detector import models_present
-from morphspace.face.detector.models import FETCH_COMMAND
 from morphspace.face.faceframe import Frame, identity_affine
 from morphspace.io.clips import open_clip
 from morphspace.io.framing import MIN_SIDE_PX, FramedClip, Framing
@@ -173,16 +170,6 @@ def notes_on_own(own: tuple[bool, ...]) -> tuple[str, ...]:
     """Say how many frames were not aligned, since the model has drawn them itself; `own` as `drawn_by` gives it."""
     count = sum(own)
     return (f"{count} frames are this model's own pictures, and are read without alignment",) if count else ()
-
-
-def notes_on_alignment(model: MorphModel) -> tuple[str, ...]:
-    """Say where frames are brought to the reference with less than the build had."""
-    if not was_anchored(model.provenance) or models_present():
-        return ()
-    return (
-        f"{model.identity} was built with face points, and what finds them is not here now: frames are read by flow "
-        f"alone, less like the model's own; run `{FETCH_COMMAND}` once",
-    )
 
 
 def joined(model: MorphModel, parts: list[Loadings]) -> Loadings:

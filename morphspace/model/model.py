@@ -10,13 +10,14 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
 from morphspace.arrays import Affine, AnyArray, Displacement, Image, LoadingTable, LoadingVector, Mask
 from morphspace.errors import BadInput, ReferenceMismatch
 from morphspace.face.anchor import FaceAnchor, anchor_of_build, was_anchored
+from morphspace.face.detector import MissingModels
 from morphspace.face.faceframe import FaceFrame, Frame, RegistrationKind, aligned
 from morphspace.face.mesh import FacePoints
 from morphspace.face.regions import rigid_region
@@ -70,7 +71,8 @@ class MorphModel:
     `mask` (h, w) | `reference` (h, w, 3), the image all flow starts from | `mean_inverse` (h, w, 2) px, from the mean
     face to the reference | `faceframe` on the mean face, or None | `training` Loadings | `registration` and `flow`, by
     name, as the build used them | `provenance`, a JSON document: identity, settings, versions, digests, consent |
-    `landmarks`, where the face's landmarks lie for given loadings, or None.
+    `landmarks`, where the face's landmarks lie for given loadings, or None | `reading`, how pictures are read: as the
+    build read its frames, or by flow alone (`by_flow_alone`).
     """
 
     mean: Morph
@@ -86,6 +88,7 @@ class MorphModel:
     flow: str
     provenance: Mapping[str, Any]
     landmarks: LandmarkRegression | None = None
+    reading: Literal["as built", "flow alone"] = "as built"
 
     @property
     def model_id(self) -> str:
@@ -128,14 +131,33 @@ class MorphModel:
     def flow_from_reference(self) -> FlowFunction:
         """The flow by the build's method, its reference prepared on first use and kept: the costly half is shared."""
         find = methods.for_morphs(self.flow)(self.reference)
-        if self.anchor is None or not was_anchored(self.provenance):
+        if not was_anchored(self.provenance) or self.anchor is None:
             return find
         return self.anchor.anchored(find, *self.mask.shape)
 
     @cached_property
     def anchor(self) -> FaceAnchor | None:
-        """The face in the reference, where the build looked for it and the detector is there; else None."""
-        return anchor_of_build(self.reference, self.provenance)
+        """The face in the reference and its detector, where the build used them; None where pictures are read without.
+
+        Raises `MissingModels` where they are needed and the detector's networks are missing.
+        """
+        if self.reading == "flow alone" or (
+            self.registration == "none" and not was_anchored(self.provenance)
+        ):
+            return None
+        try:
+            return anchor_of_build(self.reference, self.provenance)
+        except MissingModels as error:
+            raise MissingModels(
+                f"{self.identity} was built with face points and reads pictures with them; {error}"
+            ) from error
+
+    def by_flow_alone(self) -> MorphModel:
+        """Give the model that reads pictures without face points, which needs no networks.
+
+        Where the build used the points it reads them less exactly: its loadings are not those of the model itself.
+        """
+        return replace(self, reading="flow alone")
 
     @cached_property
     def _head(self) -> Registration:
@@ -145,7 +167,9 @@ class MorphModel:
     def align(self, image: Image, name: str = "image", found: FacePoints | None = None) -> Frame:
         """Bring an image (h, w, 3) of the model's size to the reference, as the build did with its frames.
 
-        `found` is what the `anchor`'s detector found in the image, where it has been asked already.
+        `found` is what the `anchor`'s detector found in the image, where it has been asked already. Raises
+        `MissingModels` where the build used face points and the detector's networks are missing; `by_flow_alone` gives
+        a model that needs none.
         """
         self._check_size(image, name)
         anchor = None if self.registration == "none" else self.anchor

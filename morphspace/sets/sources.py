@@ -12,7 +12,7 @@ from morphspace.arrays import LoadingTable
 from morphspace.errors import BadInput
 from morphspace.io.clips import Clip
 from morphspace.io.tables import read_loadings_table
-from morphspace.model.encode import framed_for, notes_on_alignment, notes_on_enlarging
+from morphspace.model.encode import framed_for, notes_on_enlarging
 from morphspace.model.model import MorphModel
 from morphspace.sets.kept import digest_of_kept, encoded_clip
 from morphspace.sets.planned import KEPT_STEMS
@@ -124,7 +124,7 @@ def _of_clip(
     loadings, _ = yield from encoded_clip(model, source)
     rate = source.clip.sidecar.frame_rate_hz or model.provenance.get("frame_rate_hz") or FRAME_RATE_HZ
     inputs = {f"clip/{name}": digest for name, digest in zip(source.names, source.file_digests, strict=True)}
-    notes = notes_on_enlarging(source.framing, model.identity) + notes_on_alignment(model)
+    notes = notes_on_enlarging(source.framing, model.identity)
     notes += notes_on_identity(model, source.clip)
     return Faces(source.clip.name, source.names, loadings.in_sd(model), float(rate), inputs, notes)
 

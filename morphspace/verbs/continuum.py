@@ -22,7 +22,7 @@ from morphspace.avatar.pair import pair_model
 from morphspace.errors import BadInput
 from morphspace.flow.names import DEFAULT
 from morphspace.io.tables import read_loadings_table
-from morphspace.model.encode import STRANGE, encoded_frames, energy_outside, framed_for, notes_on_alignment
+from morphspace.model.encode import STRANGE, encoded_frames, energy_outside, framed_for
 from morphspace.model.model import MorphModel, load_model
 from morphspace.outcome import Outcome, versions
 from morphspace.requests import ClipText
@@ -327,7 +327,7 @@ def _of_picture(
         raise BadInput(f"{path} holds {len(source.names)} frames: give one picture")
     (encoded,) = encoded_frames(model, source)
     loadings = encoded.loadings.values[0]
-    notes = notes_on_alignment(model)
+    notes: tuple[str, ...] = ()
     outside = energy_outside(encoded.morph - model.mean, model)
     if outside > STRANGE:
         notes += (

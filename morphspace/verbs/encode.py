@@ -15,7 +15,6 @@ from morphspace.model.encode import (
     encoded_frames,
     framed_for,
     joined,
-    notes_on_alignment,
     notes_on_enlarging,
     notes_on_own,
 )
@@ -64,7 +63,7 @@ def run(request: EncodeRequest) -> Steps[Outcome]:
         "components": model.rank,
         "furthest_sd": furthest,
     }
-    notes = notes_on_enlarging(source.framing, model.identity) + notes_on_alignment(model)
+    notes = notes_on_enlarging(source.framing, model.identity)
     notes += notes_on_own(own)
     return Outcome(lines, document, notes, written)
 

@@ -16,7 +16,7 @@ from morphspace.io.clips import Clip
 from morphspace.io.framing import FramedClip
 from morphspace.io.stimulus_sidecars import ORIGINAL_IDENTITY
 from morphspace.io.tables import read_loadings_table
-from morphspace.model.encode import framed_for, notes_on_alignment, notes_on_enlarging
+from morphspace.model.encode import framed_for, notes_on_enlarging
 from morphspace.model.model import MorphModel, load_model
 from morphspace.outcome import Outcome
 from morphspace.requests import ClipText
@@ -65,7 +65,7 @@ def plan(request: PlaceRequest, model: MorphModel | None = None) -> Steps[Planne
     model = model or load_model(request.model)
     check_rate(request.frame_rate_hz)
     source = framed_for(model, request.clip, request.crop)
-    inputs, notes = {}, notes_on_enlarging(source.framing, model.identity) + notes_on_alignment(model)
+    inputs, notes = {}, notes_on_enlarging(source.framing, model.identity)
     if request.loadings is None:
         source = _chosen(source, request.frames or source.names)
         loadings, registrations = yield from encoded_clip(model, source)

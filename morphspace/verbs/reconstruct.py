@@ -16,7 +16,6 @@ from morphspace.model.encode import (
     first_components,
     framed_for,
     joined,
-    notes_on_alignment,
     notes_on_enlarging,
 )
 from morphspace.model.model import load_model
@@ -97,5 +96,5 @@ def run(request: ReconstructRequest) -> Steps[Outcome]:
         "psnr_db_median": float(np.median(psnr)),
         "psnr_db_10th_percentile": float(np.percentile(psnr, 10)),
     }
-    notes += notes_on_enlarging(source.framing, model.identity) + notes_on_alignment(model)
+    notes += notes_on_enlarging(source.framing, model.identity)
     return Outcome(lines, document, notes, (*written, record))

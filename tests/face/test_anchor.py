@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
+from morphspace.errors import BadInput
 from morphspace.face import anchor
 from morphspace.face.anchor import HELD, FaceAnchor, anchor_of_build, anchor_on, rigid_movement, spline_from
-from morphspace.face.detector import Detector
+from morphspace.face.detector import Detector, MissingModels
 from morphspace.face.mesh import INNER_LIPS, POINT_COUNT, FacePoints
 from morphspace.flow import Flow
 from morphspace.flow.starts import landmark_spline
@@ -143,7 +144,6 @@ ANCHORED = {"landmarks": {"reference_has_face": True, "anchored": True}}
 def test_a_model_reads_new_frames_as_its_build_did_where_the_networks_are(model, monkeypatch):
     detector = Detector(lambda image: FacePoints(points(), 0.9), {"version": 1})
     monkeypatch.setattr(anchor, "load_detector", lambda: detector)
-    monkeypatch.setattr(anchor, "models_present", lambda: True)
     assert anchor_of_build(model.reference, {}) is None
     assert anchor_of_build(model.reference, {"landmarks": None}) is None
     assert anchor_of_build(model.reference, ANCHORED) is not None
@@ -162,5 +162,30 @@ def test_a_model_reads_new_frames_as_its_build_did_where_the_networks_are(model,
     held.__dict__["anchor"] = FaceAnchor(moved, FacePoints(points(), 0.9))
     started = held.flow_from_reference(np.array(model.reference), None)
     assert_allclose(started.displacement[20:50, 20:40], plain.displacement[20:50, 20:40], atol=0.2)  # px: DIS
-    monkeypatch.setattr(anchor, "models_present", lambda: False)
-    assert anchor_of_build(model.reference, ANCHORED) is None
+    monkeypatch.setattr(anchor, "load_detector", lambda: Detector(lambda image: None, {"version": 2}))
+    with pytest.raises(BadInput, match="no face in the reference, where the build found one"):
+        anchor_of_build(model.reference, ANCHORED)
+
+
+@pytest.mark.parametrize("anchored", [False, True])
+def test_a_model_built_with_face_points_refuses_to_read_without_the_networks(
+    model, monkeypatch, tmp_path, anchored
+):
+    monkeypatch.setenv("MORPHSPACE_MODELS", str(tmp_path))
+    told = {"reference_has_face": True, "anchored": anchored}
+    held = replace(model, provenance={**model.provenance, "landmarks": told}, registration="similarity")
+    with pytest.raises(
+        MissingModels, match=r"drawn was built with face points.*run `morphspace models fetch`"
+    ):
+        held.encode(model.reference)
+    plain = replace(model, registration="similarity").encode(model.reference)
+    assert_array_equal(held.by_flow_alone().encode(model.reference).values, plain.values)  # bytes
+
+
+def test_a_model_built_without_face_points_needs_no_networks(model, monkeypatch, tmp_path):
+    monkeypatch.setenv("MORPHSPACE_MODELS", str(tmp_path))
+    for landmarks in (None, {"reference_has_face": False, "anchored": False}):
+        other = replace(
+            model, provenance={**model.provenance, "landmarks": landmarks}, registration="similarity"
+        )
+        assert other.anchor is None and other.encode(model.reference).values.shape == (1, model.rank)
