@@ -60,7 +60,7 @@ def batch_figures(data: Path, work: Path, rounds: int) -> None:
 def batch_tables(model_path: Path, folder: Path, rounds: int) -> None:
     """Print the tables for one model, working in a folder."""
     model = load_model(model_path)
-    loadings_sd = model.training.in_sd(model)[:FACES]
+    loadings_sd = model.training.in_sd(model).values[:FACES]
     names = [f"face_{i:03d}" for i in range(len(loadings_sd))]
     write_loadings_table(folder / "faces.csv", loadings_sd, names, {"model_id": model.model_id})
     recipe = _written_recipe(model_path, folder)

@@ -50,7 +50,7 @@ def kept_plausible(model: MorphModel, components: int) -> Keep:
     No component goes further than in any of them, either way (a mouth that opens does not close beyond closed), and
     no face is further from the mean than all but a few of them.
     """
-    own = model.training.in_sd(model)[:, :components]
+    own = model.training.in_sd(model).values[:, :components]
     furthest = float(np.percentile(np.sqrt((own**2).mean(axis=1)), COMMON_PERCENT))
 
     def keep(faces: np.ndarray) -> np.ndarray:

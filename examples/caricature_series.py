@@ -38,7 +38,7 @@ def most_different(loadings_sd: np.ndarray, count: int) -> list[int]:
 
 def write_faces(model: MorphModel, count: int, path: Path) -> None:
     """Write the loadings of so many of a model's own frames as a table."""
-    loadings_sd = model.training.in_sd(model)
+    loadings_sd = model.training.in_sd(model).values
     rows = most_different(loadings_sd, count)
     names = [model.training.frame_names[row] for row in rows]
     told = {

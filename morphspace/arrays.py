@@ -33,3 +33,10 @@ Rows = NDArray[np.float32]
 """(n, d) one serialised face a row."""
 
 AnyArray = NDArray[Any]
+
+
+def read_only(array: AnyArray) -> AnyArray:
+    """Return a view of an array that cannot be written to; the array itself stays as it is."""
+    view = np.asarray(array).view()
+    view.flags.writeable = False
+    return view

@@ -15,7 +15,7 @@ from functools import cached_property
 
 import numpy as np
 
-from morphspace.arrays import AnyArray, LoadingTable, LoadingVector, Rows
+from morphspace.arrays import AnyArray, LoadingTable, LoadingVector, Rows, read_only
 from morphspace.errors import BadInput
 from morphspace.linear.rows import ColumnBlocks, column_ranges
 
@@ -43,6 +43,8 @@ class Basis:
                 f"components of shape {self.components.shape} do not fit {len(self.variances)} variances "
                 f"and {len(self.weight)} weights"
             )
+        for name in ("components", "variances", "weight"):
+            object.__setattr__(self, name, read_only(getattr(self, name)))
 
     @property
     def rank(self) -> int:

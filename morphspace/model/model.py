@@ -14,7 +14,16 @@ from typing import Any, Literal
 
 import numpy as np
 
-from morphspace.arrays import Affine, AnyArray, Displacement, Image, LoadingTable, LoadingVector, Mask
+from morphspace.arrays import (
+    Affine,
+    AnyArray,
+    Displacement,
+    Image,
+    LoadingTable,
+    LoadingVector,
+    Mask,
+    read_only,
+)
 from morphspace.errors import BadInput, ReferenceMismatch
 from morphspace.face.anchor import FaceAnchor, anchor_of_build, was_anchored
 from morphspace.face.detector import MissingModels
@@ -38,29 +47,64 @@ from morphspace.model.morph import (
 )
 from morphspace.storage import digest_of_array, digest_of_json, write_container
 
+Unit = Literal["raw", "sd"]
+
 
 @dataclass(frozen=True, eq=False)
 class Loadings:
-    """Faces as coordinates: values (n, k), one row a frame, on the components of the model `model_id`."""
+    """Faces as coordinates on the components of a model, one row a frame.
+
+    Parameters
+    ----------
+    values : (n, k)
+        Kept read-only.
+    frame_names : tuple of n str
+    model_id : str
+        The model they belong to.
+    unit : {"raw", "sd"}
+        Raw loadings are in units of the model's inner product: R = P l holds of them. Tables, sidecars and whatever a
+        person reads are in SD of each component over the training faces.
+
+    Raises
+    ------
+    BadInput
+        Where the rows do not fit the names.
+    """
 
     values: LoadingTable
     frame_names: tuple[str, ...]
     model_id: str
+    unit: Unit = "raw"
 
     def __post_init__(self) -> None:
         if self.values.ndim != 2 or len(self.values) != len(self.frame_names):
             raise BadInput(
                 f"loadings of shape {self.values.shape} do not fit {len(self.frame_names)} frame names: one row a frame"
             )
+        object.__setattr__(self, "values", read_only(self.values))
 
-    def in_sd(self, model: MorphModel) -> LoadingTable:
-        """Give the loadings in SD of each component, (n, k). Raises `ReferenceMismatch` for another model."""
+    def in_sd(self, model: MorphModel) -> Loadings:
+        """Give the same faces in SD of each component. Raises `ReferenceMismatch` for another model."""
+        self._check_model(model)
+        return self if self.unit == "sd" else self._as("sd", self.values / self._sd(model))
+
+    def in_raw(self, model: MorphModel) -> Loadings:
+        """Give the same faces in raw loadings. Raises `ReferenceMismatch` for another model."""
+        self._check_model(model)
+        return self if self.unit == "raw" else self._as("raw", self.values * self._sd(model))
+
+    def _sd(self, model: MorphModel) -> AnyArray:
+        return model.sd[: self.values.shape[1]]
+
+    def _as(self, unit: Unit, values: LoadingTable) -> Loadings:
+        return Loadings(values, self.frame_names, self.model_id, unit)
+
+    def _check_model(self, model: MorphModel) -> None:
         if self.model_id != model.model_id:
             raise ReferenceMismatch(
                 f"these loadings belong to model {self.model_id}, this is model {model.model_id}: encode the "
                 "images with this model"
             )
-        return self.values / model.sd[: self.values.shape[1]]
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,6 +133,14 @@ class MorphModel:
     provenance: Mapping[str, Any]
     landmarks: LandmarkRegression | None = None
     reading: Literal["as built", "flow alone"] = "as built"
+
+    def __post_init__(self) -> None:
+        if self.training.unit != "raw":
+            raise BadInput(
+                "the training loadings of a model are in SD; expected raw ones. Give loadings.in_raw(model)"
+            )
+        for name in ("mask", "reference", "mean_inverse"):
+            object.__setattr__(self, name, read_only(getattr(self, name)))
 
     @property
     def model_id(self) -> str:
@@ -203,27 +255,36 @@ class MorphModel:
     def _fitter(self) -> Fitter:
         return Fitter(self.mean, self.basis, self.mask)
 
-    def expand(self, loadings: AnyArray) -> Morph:
-        """Give the morph of loadings (k,), or of the first so many: mean + P l (Nagle section 2, steps 1 and 2)."""
+    def expand(self, loadings: AnyArray | Loadings) -> Morph:
+        """Give the morph of raw loadings (k,), or of the first so many: mean + P l (Nagle section 2, steps 1 and 2).
+
+        Where `Loadings` of one face are given, their unit is heeded. Raises `BadInput` and `ReferenceMismatch`.
+        """
         return self.mean + self.offset(loadings)
 
-    def offset(self, loadings: AnyArray) -> MorphOffset:
+    def offset(self, loadings: AnyArray | Loadings) -> MorphOffset:
         """Give the difference from the mean of loadings (k,), or of the first so many: P l. Raises `BadInput`."""
         basis, values = self._shown_by(loadings)
         return MorphOffset(basis.expand(values), self.mean.shape, self.mean.reference_id)
 
-    def texture_offset(self, loadings: AnyArray) -> Image:
+    def texture_offset(self, loadings: AnyArray | Loadings) -> Image:
         """Give the texture (h, w, 3) of `offset` alone."""
         basis, values = self._shown_by(loadings)
         return basis.expand(values, texture_columns(self.mean.shape)).reshape(*self.mean.shape, 3)
 
-    def displacement_offset(self, loadings: AnyArray) -> Displacement:
+    def displacement_offset(self, loadings: AnyArray | Loadings) -> Displacement:
         """Give the displacement (h, w, 2) px of `offset` alone."""
         basis, values = self._shown_by(loadings)
         return basis.expand(values, displacement_columns(self.mean.shape)).reshape(*self.mean.shape, 2)
 
-    def _shown_by(self, loadings: AnyArray) -> tuple[Basis, LoadingVector]:
-        """Give loadings (k,) that were checked, and the basis cut to as many components."""
+    def _shown_by(self, loadings: AnyArray | Loadings) -> tuple[Basis, LoadingVector]:
+        """Give raw loadings (k,) that were checked, and the basis cut to as many components."""
+        if isinstance(loadings, Loadings):
+            if len(loadings.values) != 1:
+                raise BadInput(
+                    f"{len(loadings.values)} faces were given; expected one. Draw them one after the other"
+                )
+            loadings = loadings.in_raw(self).values
         values = np.asarray(loadings, np.float64).reshape(-1)
         if len(values) > self.rank or not np.isfinite(values).all():
             raise BadInput(
@@ -231,7 +292,7 @@ class MorphModel:
             )
         return (self.basis if len(values) == self.rank else self.basis.truncate(len(values))), values
 
-    def render(self, loadings: AnyArray) -> Image:
+    def render(self, loadings: AnyArray | Loadings) -> Image:
         """Give the image (h, w, 3) of loadings (k,), or of the first so many; zeros give the mean face."""
         return self.expand(loadings).render()
 

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from morphspace.arrays import AnyArray, Displacement, Image
+from morphspace.arrays import AnyArray, Displacement, Image, read_only
 from morphspace.errors import BadInput, ReferenceMismatch
 from morphspace.grid import warp
 
@@ -157,9 +157,7 @@ def _checked(vector: AnyArray, shape: tuple[int, int]) -> AnyArray:
         raise BadInput(
             f"a morph vector of {vector.shape} does not fit {width}x{height}: {CHANNELS * height * width} expected"
         )
-    view = np.asarray(vector, np.float32).view()
-    view.flags.writeable = False
-    return view
+    return read_only(np.asarray(vector, np.float32))
 
 
 def _joined(texture: Image, displacement: Displacement) -> AnyArray:

@@ -126,7 +126,7 @@ def _of_clip(
     inputs = {f"clip/{name}": digest for name, digest in zip(source.names, source.file_digests, strict=True)}
     notes = notes_on_enlarging(source.framing, model.identity)
     notes += notes_on_identity(model, source.clip)
-    return Faces(source.clip.name, source.names, loadings.in_sd(model), float(rate), inputs, notes)
+    return Faces(source.clip.name, source.names, loadings.in_sd(model).values, float(rate), inputs, notes)
 
 
 def _chosen(faces: Faces, frames: tuple[str, ...]) -> Faces:

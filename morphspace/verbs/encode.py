@@ -52,7 +52,7 @@ def run(request: EncodeRequest) -> Steps[Outcome]:
     loadings = joined(model, parts)
     inputs = dict(zip(source.names, source.file_digests, strict=True))
     written = write_loadings(request.output, loadings, model, request.model, inputs)
-    furthest = float(np.abs(loadings.in_sd(model)).max(initial=0))
+    furthest = float(np.abs(loadings.in_sd(model).values).max(initial=0))
     lines = (
         f"{request.output}: {len(parts)} frames, {model.rank} components of {model.identity}, in SD; the furthest "
         f"value is {furthest:.1f} SD",
@@ -82,5 +82,5 @@ def write_loadings(
         "inputs": inputs,
         "versions": versions(),
     }
-    write_loadings_table(output, loadings.in_sd(model), loadings.frame_names, document)
+    write_loadings_table(output, loadings.in_sd(model).values, loadings.frame_names, document)
     return output, output.with_suffix(".json")

@@ -69,7 +69,7 @@ def plan(request: PlaceRequest, model: MorphModel | None = None) -> Steps[Planne
     if request.loadings is None:
         source = _chosen(source, request.frames or source.names)
         loadings, registrations = yield from encoded_clip(model, source)
-        loadings_sd = loadings.in_sd(model)
+        loadings_sd = loadings.in_sd(model).values
     else:
         table = read_loadings_table(request.loadings)
         notes = check_table(model, table, request.loadings) + notes

@@ -1,5 +1,6 @@
 """Laws of the model: rendering, sampling, truncating, placing, and the `.morph` file."""
 
+import dataclasses
 import json
 import resource
 import struct
@@ -84,7 +85,7 @@ def test_a_rendered_face_is_encoded_as_itself(model):
     assert encoded.values.shape == (1, 3)
     assert psnr_db(model.render(encoded.values[0]), model.render(truth), model.mask) > 38
     assert_allclose(
-        encoded.in_sd(model)[0], truth / model.sd, atol=0.25
+        encoded.in_sd(model).values[0], truth / model.sd, atol=0.25
     )  # SD; opening and smile share pixels
 
 
@@ -147,13 +148,34 @@ def test_encoding_an_aligned_frame_is_encoding_its_image(model):
 
 
 def test_loadings_in_sd_have_unit_standard_deviation(model):
-    assert_allclose(model.training.in_sd(model).std(axis=0, ddof=1), 1, rtol=1e-6)
+    assert_allclose(model.training.in_sd(model).values.std(axis=0, ddof=1), 1, rtol=1e-6)
+
+
+def test_loadings_know_their_unit(model):
+    raw = Loadings(model.training.values[2:3], ("one",), model.model_id)
+    in_sd = raw.in_sd(model)
+    assert (raw.unit, in_sd.unit) == ("raw", "sd")
+    assert in_sd.in_sd(model) is in_sd and raw.in_raw(model) is raw
+    assert_allclose(in_sd.in_raw(model).values, raw.values, rtol=1e-12)
+    assert_allclose(model.render(in_sd), model.render(raw.values[0]), atol=1e-6)
+    with pytest.raises(BadInput, match="training loadings of a model are in SD"):
+        dataclasses.replace(model, training=model.training.in_sd(model))
+    with pytest.raises(BadInput, match="12 faces were given; expected one"):
+        model.render(model.training)
+
+
+def test_arrays_of_a_model_cannot_be_written_to(model):
+    for array in (model.training.values, model.mask, model.basis.components, model.mean.texture):
+        with pytest.raises(ValueError, match="read-only"):
+            array[0] = 0
 
 
 def test_loadings_of_another_model_are_refused(model):
     other = Loadings(np.zeros((1, 3)), ("one",), "0123456789abcdef")
     with pytest.raises(ReferenceMismatch, match=f"0123456789abcdef.*{model.model_id}"):
         other.in_sd(model)
+    with pytest.raises(ReferenceMismatch, match="0123456789abcdef"):
+        model.render(other)
 
 
 @pytest.mark.parametrize(("shape", "names"), [((2, 3), ("one",)), ((3,), ("a", "b", "c"))])
@@ -167,7 +189,7 @@ def test_samples_have_the_statistics_of_the_training_faces(model):
     drawn = model.sample(np.random.default_rng(1), n)
     assert drawn.values.shape == (n, 3)
     assert len(set(drawn.frame_names)) == n
-    in_sd = drawn.in_sd(model)
+    in_sd = drawn.in_sd(model).values
     error = 5 / np.sqrt(n)  # five standard errors
     assert_allclose(in_sd.mean(axis=0), 0, atol=error)
     assert_allclose(in_sd.std(axis=0), 1, atol=error)
