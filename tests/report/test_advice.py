@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from morphspace.model.morph import Morph
 from morphspace.report.advice import Case, advice_for, head_path
 from morphspace.report.build_page import build_page
 
@@ -106,7 +107,7 @@ def test_many_poor_frames_blame_the_model(clean):
 
 def test_mask_without_texture_is_told(clean):
     model = clean.build.model
-    flat = replace(model.mean, texture=np.full_like(model.mean.texture, 0.5))
+    flat = Morph.of(np.full_like(model.mean.texture, 0.5), model.mean.displacement, model.mean.reference_id)
     tiny = np.zeros_like(model.mask)
     tiny[:4, :4] = 1
     for changed, word in ((replace(model, mean=flat), "texture"), (replace(model, mask=tiny), "closer")):

@@ -10,6 +10,7 @@ import pytest
 
 from morphspace.avatar.distances import MeanDistances, mean_face_distances, shape_percent
 from morphspace.face.faceframe import FaceFrame
+from morphspace.model.morph import Morph
 from morphspace.report.avatar_page import (
     AvatarResult,
     ExpressionRow,
@@ -172,7 +173,7 @@ def test_mean_face_of_a_model_has_no_distance_to_itself_and_some_to_a_brighter_o
     frame = FaceFrame((16.0, 26.0), (44.0, 26.0), (30.0, 46.0))
     one = model.with_faceframe(frame)
     texture = (one.mean.texture + np.float32(0.05)).astype(np.float32)
-    brighter = replace(one, mean=replace(one.mean, texture=texture))
+    brighter = replace(one, mean=Morph.of(texture, one.mean.displacement, one.mean.reference_id))
     everywhere = np.ones(model.mask.shape, bool)
     found = mean_face_distances([one, brighter], one, everywhere)
     assert found.shape_percent is None
@@ -187,7 +188,9 @@ def test_colour_is_compared_in_the_shared_face_alone(model):
     shared[20:50, 20:44] = True
     texture = np.array(one.mean.texture)
     texture[:10] = 1 - texture[:10]  # other hair
-    found = mean_face_distances([one, replace(one, mean=replace(one.mean, texture=texture))], one, shared)
+    found = mean_face_distances(
+        [one, replace(one, mean=Morph.of(texture, one.mean.displacement, one.mean.reference_id))], one, shared
+    )
     assert found.colour_percent[0, 1] < 0.1
 
 

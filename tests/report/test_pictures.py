@@ -1,7 +1,5 @@
 """Maps and small pictures of a page."""
 
-from dataclasses import replace
-
 import cv2
 import numpy as np
 
@@ -15,7 +13,7 @@ def test_fold_map_marks_what_folds(build):
     assert not _reddish(fold_chart(morph, build.model.mask)).any()
     folded = morph.displacement.copy()
     folded[40, 30, 0] += 5
-    broken = replace(morph, displacement=folded)
+    broken = Morph.of(morph.texture, folded, morph.reference_id)
     marked = _reddish(fold_chart(broken, build.model.mask))
     assert marked.sum() == 4 * (determinants(folded) <= 0).sum()  # each cell is drawn twice as large
     assert marked[70:90, 50:72].sum() == marked.sum()

@@ -16,6 +16,7 @@ from morphspace.io.stimulus_sidecars import essentials_in, read_stimulus_sidecar
 from morphspace.io.tables import read_loadings_table
 from morphspace.io.video import read_frames
 from morphspace.model.model import Loadings, load_model
+from morphspace.model.morph import Morph
 from morphspace.outcome import versions
 from morphspace.report.set_page import sheet_columns
 from morphspace.requests import told_path
@@ -205,7 +206,12 @@ def test_replay_gives_the_same_bytes(any_set, folder):
 
 def test_replay_says_what_differs(folder, pictures, tmp_path):
     model = load_model(folder / "a.morph")
-    other = replace(model, mean=replace(model.mean, texture=model.mean.texture + np.float32(4 / 255)))
+    other = replace(
+        model,
+        mean=Morph.of(
+            model.mean.texture + np.float32(4 / 255), model.mean.displacement, model.mean.reference_id
+        ),
+    )
     other.save(tmp_path / "other.morph")
     name = rows_of(pictures)[0]["name"]
     request = ReplayRequest(pictures / f"{name}.json", tmp_path / "other.morph")
