@@ -93,31 +93,22 @@ class SheetRow:
 
 @dataclass(frozen=True, eq=False)
 class AvatarPage:
-    """What `avatar.html` shows, in the order of the page."""
+    """What `avatar.html` shows of `made`: which part each version takes, pictures, tables, and components."""
 
     title: str
-    identity: str
-    identities: tuple[str, ...]
-    expressions: int
-    surround: str
-    blend_share: float
-    average_share: float
-    sharpen: float
-    versions: int
+    made: AvatarResult
+    shares: Mapping[str, float]
     left_out: int
     less_weight: int
-    notes: Sequence[str]
     sheet: Sequence[SheetRow]
     large: Sequence[Panel]
     identity_rows: Sequence[Sequence[str]]
-    distances: Mapping[str, Sequence[Sequence[str]]] | None
-    has_landmarks: bool
+    distances: Mapping[str, Sequence[Sequence[str]]]
     sharpness_rows: Sequence[Sequence[str]]
     affected: Sequence[Sequence[str]]
     components: Components
     sd_headings: Sequence[str]
     component_rows: Sequence[Sequence[str]]
-    settings: Mapping[str, str]
     full_part: float = FULL_PART
     listed: int = SOURCES_SHOWN
 
@@ -126,31 +117,21 @@ def avatar_page(made: AvatarResult) -> str:
     """Return the page as HTML; the same values give the same bytes. Blend: Nagle section 4; page: ours."""
     taken = parts_taken(made.used, made.asked)
     shares = sharp_shares(made)
-    distances = made.distances
     page = AvatarPage(
         title=f"{made.model.identity}: a blend of {', '.join(made.identities)}",
-        identity=made.model.identity,
-        identities=made.identities,
-        expressions=len(made.frames),
-        surround=made.surround,
-        blend_share=shares["blend"],
-        average_share=shares["pixel average"],
-        sharpen=made.sharpen,
-        versions=taken.size,
+        made=made,
+        shares=shares,
         left_out=int((taken == 0).sum()),
         less_weight=int(((taken > 0) & (taken < FULL_PART)).sum()),
-        notes=made.notes,
         sheet=[_sheet_row(made, row, taken[row.index]) for row in made.rows],
         large=_large(made),
         identity_rows=_identity_rows(made, taken),
-        distances=None if distances is None else _distances(made, distances),
-        has_landmarks=distances is not None and distances.shape_percent is not None,
+        distances={} if made.distances is None else _distances(made, made.distances),
         sharpness_rows=_sharpness_rows(made, shares),
         affected=_affected(made, taken),
         components=components_of(made.model),
         sd_headings=[f"SD in {name}" for name in made.identities],
         component_rows=_component_rows(made),
-        settings=made.settings,
     )
     return render("avatar.html", page)
 

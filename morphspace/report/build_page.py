@@ -47,37 +47,27 @@ MASK_ORIGINS = {
 
 @dataclass(frozen=True, eq=False)
 class BuildPage:
-    """What `build.html` shows, in the order of the page."""
+    """What `build.html` shows of `build`, in the order of the page."""
 
     title: str
-    identity: str
-    model_id: str
+    build: Build
     key_figures: Sequence[tuple[str, str]]
     mend: Sequence[str]
     consider: Sequence[str]
     reference: Markup
-    reference_name: str
-    reference_reason: str
     mean: Markup
     marked: Markup
-    mask_share: float
     mask_origin: str
-    has_faceframe: bool
-    frames: int
     sheet: Sequence[Panel]
     components: Components
     psnr_plot: Markup
     worst_frames: Sequence[Sequence[str]]
-    flow: str
-    without_second_start: bool
-    kept_second_start: int
     confidence_plot: Markup | None
     confidence_map: Markup | None
     confidence_range: str
     flow_plots: Sequence[Panel]
     folded_frames: int
     fold_maps: Sequence[Panel]
-    registration: str
     movement_plots: Sequence[Panel]
     trials: Sequence[Sequence[str]]
     chosen_trial: Mapping[int, str]
@@ -105,7 +95,7 @@ def build_page(build: Build, figures: FrameFigures, *, source_size: tuple[int, i
     source_size : (int, int), optional
         Width and height (px) of the pictures the frames were made from, after cropping, where they are known.
     """
-    model, names = build.model, build.model.training.frame_names
+    model = build.model
     found = advice_for(Case(build, figures, source_size))
     mean = model.mean.render()
     components = components_of(model)
@@ -115,27 +105,18 @@ def build_page(build: Build, figures: FrameFigures, *, source_size: tuple[int, i
     confidence_range = f"{low:.2f} to {high:.2f}"
     page = BuildPage(
         title=f"{model.identity}: build report",
-        identity=model.identity,
-        model_id=model.model_id,
+        build=build,
         key_figures=_key_figures(build, figures, components.explained),
         mend=[advice.text for advice in found if advice.level == "mend"],
         consider=[advice.text for advice in found if advice.level == "consider"],
         reference=pictures.photograph(model.reference, "Reference frame"),
-        reference_name=build.choice.name,
-        reference_reason=build.choice.reason,
         mean=pictures.photograph(mean, "Mean face"),
         marked=_marked(model, mean),
-        mask_share=float(model.mask.mean()),
         mask_origin=_mask_origin(model),
-        has_faceframe=model.faceframe is not None,
-        frames=len(names),
         sheet=_sheet(build, figures),
         components=components,
         psnr_plot=_plot_of_worst(build, figures.psnr_db, "PSNR", "PSNR, dB", LEAST_RANGE_DB, "{:.1f} dB"),
         worst_frames=_worst_frames(build, figures),
-        flow=model.flow,
-        without_second_start=model.provenance.get("flow_start") == "none",
-        kept_second_start=int(build.from_neighbour.sum()),
         confidence_plot=_plot_of_worst(
             build,
             build.confidences,
@@ -166,7 +147,6 @@ def build_page(build: Build, figures: FrameFigures, *, source_size: tuple[int, i
         ],
         folded_frames=int((figures.fold_fractions > 0).sum()),
         fold_maps=_fold_maps(model, figures.fold_fractions),
-        registration=model.registration,
         movement_plots=_movement_plots(build, figures),
         trials=[
             (

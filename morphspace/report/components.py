@@ -48,9 +48,8 @@ class Components:
 def explained(model: MorphModel) -> AnyArray:
     """Return the share of variance (k,) in percent that the first 1, 2, ... components explain together."""
     basis = model.basis
-    dimensions = max(1, int((basis.weight > 0).sum()) - basis.rank)
-    total = float(basis.variances.sum()) + basis.discarded_variance * dimensions
-    return np.cumsum(basis.variances) / max(total, np.finfo(float).tiny) * 100
+    kept = np.cumsum(basis.variances)
+    return 100 * basis.variance_explained * kept / max(kept[-1:].sum(), np.finfo(float).tiny)
 
 
 def components_of(model: MorphModel) -> Components:

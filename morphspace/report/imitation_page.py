@@ -75,21 +75,12 @@ class Trace:
 
 @dataclass(frozen=True, eq=False)
 class ImitationPage:
-    """What `imitation.html` shows: the measures of all components `together`, traces, timing, table, and chance."""
+    """What `imitation.html` shows of `measured`: measures of all components `together`, traces, timing, and table."""
 
     title: str
-    kicker: str
+    measured: MeasuredImitation
     together: Mapping[str, float]
-    lag_s: str
-    timing_rms_frames: float
-    delay_frames: float
-    steps: int
-    notes: Sequence[str]
-    still: Sequence[str]
     pairs: Sequence[Panel]
-    video: str
-    panels: Sequence[str]
-    components: int
     traces: Sequence[Trace]
     lag_plot: Markup | None
     r_at_lag: float
@@ -97,24 +88,13 @@ class ImitationPage:
     headings: Sequence[str]
     rows: Sequence[Sequence[str]]
     undefined: Mapping[str, Sequence[str]]
-    shifts: int
-    shifts_of_information: int
-    is_exhaustive: bool
-    copies_of_lag: int
-    copies_of_alignment: int
-    least_p: Mapping[str, str]
-    settings: Mapping[str, str]
 
 
 def imitation_page(measured: MeasuredImitation) -> str:
     """Return the page as HTML. Ours; the measures are those of Nagle section 5.1."""
-    stimulus, imitation, model = measured.names
-    comparison, baseline = measured.comparison, measured.comparison.baseline
-    kicker = f"Measured in the expression space of {model}"
-    if measured.read_in:
-        kicker += f"; the imitation was read in the model of {measured.read_in} and carried over by mimicry"
+    stimulus, imitation, _ = measured.names
+    comparison = measured.comparison
     together = {name: float(values[-1]) for name, values in comparison.measures.items()}
-    lag, rate_hz = together["lag_frames"], measured.rate_hz
     lag_plot, r_at_lag = _lag_plot(comparison, together)
     undefined: dict[str, list[str]] = {}
     for name, reason in zip(measured.rows, measured.reasons, strict=True):
@@ -122,18 +102,9 @@ def imitation_page(measured: MeasuredImitation) -> str:
             undefined.setdefault(reason, []).append(name)
     page = ImitationPage(
         title=f"{imitation} imitates {stimulus}",
-        kicker=kicker,
+        measured=measured,
         together=together,
-        lag_s=f" ({lag / rate_hz:+.2f} s)" if rate_hz and np.isfinite(lag) else "",
-        timing_rms_frames=comparison.alignment.timing_rms_frames,
-        delay_frames=comparison.alignment.delay_frames,
-        steps=len(comparison.alignment.path),
-        notes=measured.notes,
-        still=measured.still,
         pairs=[_pair(*pair) for pair in measured.pairs],
-        video=measured.video,
-        panels=measured.panels,
-        components=measured.stimulus_sd.shape[1],
         traces=_traces(measured),
         lag_plot=lag_plot,
         r_at_lag=r_at_lag,
@@ -141,13 +112,6 @@ def imitation_page(measured: MeasuredImitation) -> str:
         headings=["Component", *(heading for _, heading, _ in COLUMNS)],
         rows=[_row(measured, place) for place in (-1, *range(len(measured.rows) - 1))],
         undefined=undefined,
-        shifts=len(baseline.shifts),
-        shifts_of_information=len(baseline.costly),
-        is_exhaustive=baseline.is_exhaustive,
-        copies_of_lag=baseline.copies,
-        copies_of_alignment=baseline.costly_copies,
-        least_p={name: f"{value:.2g}" for name, value in baseline.least.items()},
-        settings=measured.settings,
     )
     return render("imitation.html", page)
 

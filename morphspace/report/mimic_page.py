@@ -56,12 +56,10 @@ class MimicryResult:
 
 @dataclass(frozen=True, eq=False)
 class MimicPage:
-    """What `mimicry.html` shows: medians over frames, pairs of pictures, traces of loadings, the table of quality."""
+    """What `mimicry.html` shows of `made`: medians over frames, pairs of pictures, traces, the table of quality."""
 
     title: str
-    source: str
-    target: str
-    driven: str
+    made: MimicryResult
     frames: int
     motion_kept: float
     missing_motion: float
@@ -70,29 +68,22 @@ class MimicPage:
     bounded_frames: int
     worst_fold: float
     flagged_frames: int
-    notes: Sequence[str]
     pairs: Sequence[Panel]
-    video: str
-    components: int
-    max_sd: float
     traces: Sequence[Panel]
     headings: Sequence[str]
     rows: Sequence[Sequence[str]]
     flagged_rows: Mapping[int, str]
-    settings: Mapping[str, str]
 
 
 def mimic_page(made: MimicryResult) -> str:
     """Return the page as HTML. Ours; mimicry is that of Nagle section 3."""
-    source, target, driver = made.names
+    source, target, _ = made.names
     columns, flags = made.columns, made.columns["flags"]
     names = [name for name in HEADINGS if any(value is not None for value in columns.get(name, ()))]
     order = sorted(range(len(flags)), key=lambda place: (not flags[place], place))[:ROWS_SHOWN]
     page = MimicPage(
         title=f"{target} mimics {source}",
-        source=source,
-        target=target,
-        driven="" if driver == source else f", driven by {driver}",
+        made=made,
         frames=len(made.loadings_sd),
         motion_kept=max(float(np.median(columns["warp_kept"])), 0),
         missing_motion=float(np.median(columns["missing_motion"])),
@@ -101,11 +92,7 @@ def mimic_page(made: MimicryResult) -> str:
         bounded_frames=sum(count > 0 for count in columns["bounded"]),
         worst_fold=float(np.max(columns["folds"])),
         flagged_frames=sum(bool(words) for words in flags),
-        notes=made.notes,
         pairs=_pairs(made),
-        video=made.video,
-        components=made.loadings_sd.shape[1],
-        max_sd=made.max_sd,
         traces=_traces(made.loadings_sd),
         headings=["Frame", *(HEADINGS[name][0] for name in names), "Flags"],
         rows=[
@@ -117,7 +104,6 @@ def mimic_page(made: MimicryResult) -> str:
             for place in order
         ],
         flagged_rows={row: "flagged" for row, place in enumerate(order) if flags[place]},
-        settings=made.settings,
     )
     return render("mimicry.html", page)
 

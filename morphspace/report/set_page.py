@@ -22,7 +22,6 @@ SHOWN_AT_MOST = 96  # pictures of a sheet: some 10 kB each
 CLIPPED_PERCENT = 0.1  # of the colour values; fewer are the overshoot of a sharp edge
 FOLDED_PERCENT = 0.2  # of the face: of five recordings no training face folds; 0.4 has been seen as a crease
 SHEET_COLUMNS, MOST_COLUMNS = 8, 12  # of the sheet
-IDENTITIES_NAMED = 6
 NAMED_AT_MOST = 3  # stimuli named in one plot
 LISTED_AT_MOST = 200  # flagged stimuli in the table
 PLOTTED = {"luminance": 0.02, "rms_contrast": 0.02, "spectral_slope": 0.1}  # least range of each axis
@@ -57,24 +56,22 @@ class StimulusSet:
 
 @dataclass(frozen=True, eq=False)
 class SetPage:
-    """What `set.html` shows: counts of stimuli, the contact sheet, plots and table of statistics, flagged stimuli."""
+    """What `set.html` shows of `made`: counts, the contact sheet, plots and table of statistics, flagged stimuli."""
 
     title: str
-    kicker: str
-    stimuli: int
+    made: StimulusSet
+    identities: Sequence[str]
     frames: int
     clipped: int
     beyond: int
     outliers: int
     furthest_sd: float
     folded_percent: float
-    notes: Sequence[str]
     sheet: Sequence[Panel]
     columns: int
     plots: Sequence[Markup]
     statistics: Sequence[Sequence[str]]
     flagged: Sequence[tuple[str, str]]
-    settings: Mapping[str, str]
     clipped_limit: float = CLIPPED_PERCENT / 100
     listed: int = LISTED_AT_MOST
 
@@ -88,25 +85,18 @@ def places_shown(count: int) -> tuple[int, ...]:
 def set_page(made: StimulusSet) -> str:
     """Return the page as HTML; the same values give the same bytes."""
     rows = made.rows
-    identities = list(dict.fromkeys(str(row["identity"]) for row in rows))
-    kicker = (
-        f"{len(rows)} stimul{'us' if len(rows) == 1 else 'i'} of {', '.join(identities[:IDENTITIES_NAMED])}"
-    )
-    if len(identities) > IDENTITIES_NAMED:
-        kicker += f" and {len(identities) - IDENTITIES_NAMED} more"
     flags = [", ".join(_flags(row)) for row in rows]
     is_whole = len(made.thumbnails) == len(rows)
     page = SetPage(
         title=made.title,
-        kicker=kicker,
-        stimuli=len(rows),
+        made=made,
+        identities=list(dict.fromkeys(str(row["identity"]) for row in rows)),
         frames=sum(int(row["frames"]) for row in rows),
         clipped=sum(float(row["clipped_percent"]) > CLIPPED_PERCENT for row in rows),
         beyond=sum(bool(row["beyond"]) for row in rows),
         outliers=sum(bool(row["outlier_in"]) for row in rows),
         furthest_sd=max(float(row["largest_sd"]) for row in rows),
         folded_percent=max(float(row["folded_percent"]) for row in rows),
-        notes=made.notes,
         sheet=[
             _panel(rows[place], image, made.columns, flags[place])
             for place, image in sorted(made.thumbnails.items())
@@ -115,7 +105,6 @@ def set_page(made: StimulusSet) -> str:
         plots=[plot for name in PLOTTED for space in SPACES for plot in _plot(rows, space, name)],
         statistics=[_statistics(rows, space, name) for space in SPACES for name in FIGURES],
         flagged=[(str(row["name"]), why) for row, why in zip(rows, flags, strict=True) if why],
-        settings=made.settings,
     )
     return render("set.html", page)
 
