@@ -1,4 +1,4 @@
-"""Shared fixtures: smooth random pictures, a small drawn clip with known warps, and a small model made of them."""
+"""Shared fixtures: smooth random pictures, a drawn clip and a model made of them, and two drawn people."""
 
 import os
 from collections.abc import Iterator
@@ -8,12 +8,22 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
+from morphspace.face import mesh
 from morphspace.face.regions import face_mask
 from morphspace.grid import warp
 from morphspace.linear.pca import fit_basis
 from morphspace.linear.rows import RowArray
+from morphspace.model.keypoints import (
+    DetectedFaceframe,
+    moved_by_components,
+    reference_to_mean,
+    with_detected,
+)
+from morphspace.model.landmarks import learn_landmarks
 from morphspace.model.model import Loadings, MorphModel, inner_product, model_digest
 from morphspace.model.morph import Morph
+from morphspace.synthetic import Actor, Expression, Identity, drawn_actor
+from morphspace.synthetic.inverse import at_points
 
 HEIGHT, WIDTH = 72, 60
 MOUTH_ROW = 50  # the slit lies between this row and the next
@@ -156,3 +166,118 @@ def model():
         flow="dis",
         provenance=provenance,
     )
+
+
+DRAWN_SIZE = (80, 96)
+DRAWN_FRAMES = 16
+
+
+@dataclass(frozen=True, eq=False)
+class DrawnPerson:
+    """A drawn actor, and the model of its performance, made from the exact truth: no flow and no detector took part."""
+
+    actor: Actor
+    model: MorphModel
+
+    def face(self, **actions):
+        """The morph of an expression of the actor, from its exact truth."""
+        return self._morph(self.actor.draw(Expression(**actions)))
+
+    def picture(self, **actions):
+        return self.actor.draw(Expression(**actions)).image
+
+    def _morph(self, shot):
+        field = warp.compose(shot.displacement, self.model.mean_inverse)
+        return Morph.of(warp.sample(shot.image, field), field, self.model.mean.reference_id)
+
+
+def drawn_mesh(actor, expression):
+    """The face mesh (478, 2) px of an actor: lids, brows, lips, rim and philtrum; all other points lie on the nose."""
+    face = actor.geometry
+    points = np.tile(face.nose_tip, (mesh.POINT_COUNT, 1)).astype(float)
+    is_below = np.zeros(mesh.POINT_COUNT, bool)  # the slits of eyes and mouth
+    there, back = np.linspace(-1, 1, 9), np.linspace(1, -1, 9)[1:-1]
+    for ring, eye, way in ((mesh.RIGHT_LIDS, face.right_eye, 1), (mesh.LEFT_LIDS, face.left_eye, -1)):
+        lids = (
+            eye.point(way * t, side) for side, along in (("lower", there), ("upper", back)) for t in along
+        )
+        points[list(ring)] = list(lids)
+        is_below[list(ring[1:8])] = True
+    for ring, brow in ((mesh.RIGHT_BROW, face.right_brow), (mesh.LEFT_BROW, face.left_brow)):
+        inwards = brow[[12, 9, 6, 3, 0]]
+        points[list(ring)] = np.concatenate(
+            [inwards - np.array((0, 0.03)), inwards[::-1] + np.array((0, 0.03))]
+        )
+    there, back = np.linspace(-1, 1, 11), np.linspace(1, -1, 11)[1:-1]
+    for ring, edge in ((mesh.OUTER_LIPS, face.lip_edge), (mesh.INNER_LIPS, face.mouth.point)):
+        points[list(ring)] = [
+            edge(t, side) for side, along in (("upper", there), ("lower", back)) for t in along
+        ]
+        is_below[list(ring[11:])] = True
+    turn = 2 * np.pi * np.arange(len(mesh.FACE_OUTLINE)) / len(mesh.FACE_OUTLINE)
+    rim = np.column_stack([face.face_width * np.sin(turn), 0.3 - 1.3 * np.cos(turn)])
+    points[list(mesh.FACE_OUTLINE)] = rim
+    points[mesh.PHILTRUM] = face.philtrum
+    points = face.to_px(points)
+    above, below = (at_points(sheet, points) for sheet in actor.sheets(expression))
+    return points + np.where(is_below[:, None], below, above) - actor.margin
+
+
+def drawn_person(seed):
+    """Sixteen expressions: at rest, then jaw, smile, brows and lids at random, each independent of the others."""
+    actor = drawn_actor(Identity.random(np.random.default_rng(seed)), DRAWN_SIZE)
+    expressions = [Expression()]
+    for jaw, smile, brows, lids in np.random.default_rng(seed).uniform(0, 1, (DRAWN_FRAMES - 1, 4)):
+        raised, closed = (("brow_outer_raise", "brow_inner_raise"), ("lid_close_right", "lid_close_left"))
+        amounts = dict.fromkeys(raised, brows) | dict.fromkeys(closed, lids)
+        expressions.append(Expression(jaw_open=0.7 * jaw, lip_corner_up=smile, **amounts))
+    shots = [actor.draw(expression) for expression in expressions]
+    (width, height), reference = DRAWN_SIZE, f"{seed:016x}"
+    mean_inverse = warp.invert(np.mean([shot.displacement for shot in shots], axis=0))
+    fields = [warp.compose(shot.displacement, mean_inverse) for shot in shots]
+    rows = [
+        Morph.of(warp.sample(shot.image, field), field, reference).vector
+        for shot, field in zip(shots, fields, strict=True)
+    ]
+    mask = face_mask(height, width)
+    mean, basis, loadings = fit_basis(RowArray(np.stack(rows)), inner_product(mask, 0.05), 6)
+    mean_morph = Morph(mean, (height, width), reference)
+    name = f"drawn {seed}"
+    provenance = {
+        "identity": name,
+        "licence": "CC0",
+        "framing": {"source_size": list(DRAWN_SIZE), "crop": None, "size": list(DRAWN_SIZE)},
+        "reference": {"frame": "f00", "reason": "it was asked for", "sha256": "0" * 64},
+        "versions": {},
+    }
+    names = tuple(f"f{i:02d}" for i in range(DRAWN_FRAMES))
+    model = MorphModel(
+        mean=mean_morph,
+        basis=basis,
+        warp_weight=0.05,
+        mask=mask,
+        reference=mean_morph.render(),
+        mean_inverse=mean_inverse,
+        faceframe=None,
+        reference_faceframe=None,
+        training=Loadings(loadings, names, model_digest(basis, mean_morph, provenance)),
+        registration="none",
+        flow="dis",
+        provenance=provenance,
+    )
+    seen = np.stack([drawn_mesh(actor, expression) for expression in expressions])
+    points = reference_to_mean(model, seen[0])
+    learned = learn_landmarks(loadings, seen, model.sd, moved_by_components(model, points))
+    faceframe = mesh.FacePoints(points, 1.0).faceframe()
+    found = DetectedFaceframe(faceframe, np.zeros(3), points, DRAWN_FRAMES, DRAWN_FRAMES, learned)
+    return DrawnPerson(actor, with_detected(model, found))
+
+
+@pytest.fixture(scope="session")
+def drawn_anna():
+    return drawn_person(4)
+
+
+@pytest.fixture(scope="session")
+def drawn_ben():
+    return drawn_person(9)

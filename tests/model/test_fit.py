@@ -8,7 +8,6 @@ from morphspace.grid import warp
 from morphspace.linear.pca import Basis, fit_basis
 from morphspace.linear.quality import psnr_db
 from morphspace.linear.rows import RowArray
-from morphspace.model import fit as fitting
 from morphspace.model.fit import AREA_RANGE, NOISE_VARIANCE, Fitter
 from morphspace.model.model import inner_product
 from morphspace.model.morph import Morph
@@ -57,18 +56,42 @@ def test_fitting_never_ends_worse_than_it_started(model, picture, seed):
         assert cost(model, image, found) <= cost(model, image, start) * (1 + 1e-6)
 
 
-def test_with_texture_alone_fitting_is_ridge_regression(model, picture, monkeypatch):
+def test_with_texture_alone_fitting_is_ridge_regression(model, picture):
+    """Pictures so faint that the prior of 1e-5 colour^2 (NOISE_VARIANCE) takes half of the second component."""
     height, width = model.mask.shape
     still = np.zeros((height, width, 2), np.float32)
-    faces = [Morph.of(picture(height, width, seed), still, "here") for seed in (0, 1, 2, 3, 9)]
-    rows = np.stack([face.vector for face in faces[:4]])
-    mean, basis, _ = fit_basis(RowArray(rows), inner_product(model.mask, 1.0), 2)
-    noise = float(basis.variances[1])  # so large that the prior shows
-    monkeypatch.setattr(fitting, "NOISE_VARIANCE", noise)
-    expected = basis.project(faces[4].vector - mean) / (1 + noise / basis.variances)
-    fitter = Fitter(Morph(mean, (height, width), "here"), basis, model.mask)
-    found = fitter.fit(faces[4].texture, np.array([3.0, -4.0]))
+
+    def components(strength):
+        faces = [Morph.of(strength * picture(height, width, seed), still, "here") for seed in (0, 1, 2, 3, 9)]
+        rows = RowArray(np.stack([face.vector for face in faces[:4]]))
+        mean, basis, _ = fit_basis(rows, inner_product(model.mask, 1.0), 2)
+        return faces[4], Morph(mean, (height, width), "here"), basis
+
+    noise = 1e-5
+    strength = np.sqrt(noise / components(1.0)[2].variances[1])
+    face, mean, basis = components(strength)
+    assert basis.variances[1] == pytest.approx(noise, rel=1e-3)
+    expected = basis.project(face.vector - mean.vector) / (1 + noise / basis.variances)
+    found = Fitter(mean, basis, model.mask).fit(face.texture, strength * np.array([3.0, -4.0]))
     assert_allclose(found, expected, rtol=1e-3)
+
+
+def test_the_way_to_the_face_of_a_drawn_person(drawn_anna):
+    """Two steps from half way, and as many as are taken from a face that does the opposite: root mean square, SD.
+
+    SPARED: 0.094 and 0.406 after two steps; SCHARR_SUM: 0.457 and 0.384. In the end AREA_RANGE with ten times its lower
+    limit: 0.0931, with a tenth of its upper one: 0.0896; STILL x 10: 0.0940; NOISE_VARIANCE x 1000: 0.1075.
+    """
+    model = drawn_anna.model
+    fitter = Fitter(model.mean, model.basis, model.mask)
+
+    def off_sd(share, **options):
+        faces = model.training.values[[2, 5, 9]]
+        found = [fitter.fit(model.render(face), share * face, **options) for face in faces]
+        return np.sqrt(np.mean(((found - faces) / model.sd) ** 2))
+
+    assert off_sd(0.5, steps=2) == pytest.approx(0.1098, abs=0.003)
+    assert off_sd(-0.5) == pytest.approx(0.0949, abs=0.0006)
 
 
 def test_the_start_is_not_changed(model):

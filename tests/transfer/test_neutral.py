@@ -92,6 +92,32 @@ def test_no_frame_much_nearer_leaves_the_means(model):
     assert neutral_of(still, marked(model, 6.0)).is_means
 
 
+@pytest.mark.parametrize(("apart_px", "recentred"), [(1.2, False), (2.4, True)])
+def test_lips_that_are_apart_by_a_sixteenth_of_the_eye_distance_are_too_far_apart(model, apart_px, recentred):
+    """FAR_APART: half of the lips lie `apart_px` lower, 0.04 and 0.081 of the eye distance, root mean square."""
+    source, target = marked(model), marked(model, apart_px)
+    assert means_apart(source, target) == pytest.approx(apart_px / np.sqrt(2) / EYES_PX, rel=0.02)
+    assert neutral_of(source, target).is_means is not recentred
+
+
+@pytest.mark.parametrize(("nearer", "recentred"), [(0.10, False), (0.20, True)])
+def test_a_frame_must_come_nearer_by_fifteen_hundredths(model, nearer, recentred):
+    """WORTHWHILE: the nearest frame takes `nearer` off the distance of the means."""
+    source, target = marked(model), marked(model, 4.0)
+
+    def with_one_frame(amount):
+        """The source with one training frame, which opens its mouth, and what that takes off the distance."""
+        values = np.array([[amount, 0.0, 0.0]])
+        here = replace(source, training=replace(source.training, values=values, frame_names=("open",)))
+        return here, 1 - neutral_of(here, target, "open").apart / means_apart(here, target)
+
+    way = max((-1.0, 1.0), key=lambda sign: with_one_frame(0.1 * sign)[1])
+    amount = next(way * step for step in np.linspace(0, 3, 300) if with_one_frame(way * step)[1] > nearer)
+    here, taken_off = with_one_frame(amount)
+    assert taken_off == pytest.approx(nearer, abs=0.02)
+    assert neutral_of(here, target).is_means is not recentred
+
+
 def test_frames_are_named_with_or_without_suffix(model):
     names = ("a.png", "b.png", "b.jpg", *model.training.frame_names[3:])
     here = replace(marked(model), training=replace(model.training, frame_names=names))
