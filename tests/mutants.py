@@ -1,0 +1,305 @@
+"""Break the code in small ways, and count how many of the breaks the default tests notice.
+
+    python tests/mutants.py --count 60 --seed 1
+
+A mutant is the code with one change: a constant of a module or another number ten times as large, a tenth of it or of
+the other sign; a comparison turned round, `and` for `or`, a `not` left out; `+` for `-`. A quarter of the mutants is of
+each kind, drawn from the rooms below. Docstrings, annotations, f-strings and the words of errors stay as they are.
+
+Each mutant lives in a copy of the project, never in the working tree. The tests of its own room and of the verbs that
+use the module run first; what they let through meets all other default tests. A mutant that all tests pass has
+survived: a test is missing, or the change makes no difference that matters.
+"""
+
+from __future__ import annotations
+
+import argparse
+import ast
+import os
+import queue
+import random
+import re
+import shutil
+import signal
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+ROOT = Path(__file__).parents[1]
+ROOMS = ("transfer", "model/fit.py", "avatar", "stimuli")
+NOT_COPIED = shutil.ignore_patterns(
+    ".git", "*_cache", ".hypothesis", "__pycache__", "build", "dist", "*.egg-info"
+)
+FLIPPED = {
+    ast.Lt: ">=", ast.GtE: "<", ast.Gt: "<=", ast.LtE: ">", ast.Eq: "!=", ast.NotEq: "==",
+    ast.Is: "is not", ast.IsNot: "is", ast.In: "not in", ast.NotIn: "in",
+}  # fmt: skip
+KINDS = ("constant", "number", "comparison", "sign")
+
+
+@dataclass(frozen=True)
+class Mutant:
+    """One change: the characters from `start` to `end` of a file become `text`."""
+
+    path: Path
+    line: int
+    kind: str
+    start: int
+    end: int
+    text: str
+    shown: str
+
+    @property
+    def where(self) -> str:
+        return f"{self.path.relative_to(ROOT)}:{self.line}"
+
+
+class Sites(ast.NodeVisitor):
+    """The places of one file that can be changed, each with its possible changes."""
+
+    def __init__(self, path: Path) -> None:
+        self.path, self.source = path, path.read_text()
+        lengths = [len(line) for line in self.source.splitlines(keepends=True)]
+        self.starts = [sum(lengths[:n]) for n in range(len(lengths))]
+        self.found: list[list[Mutant]] = []
+        self.depth = 0  # in functions
+        self.visit(ast.parse(self.source))
+
+    def visit(self, node: ast.AST) -> None:
+        if isinstance(node, ast.Raise | ast.JoinedStr | ast.Import | ast.ImportFrom):
+            return
+        if isinstance(node, ast.AnnAssign) and node.value is not None:
+            self.visit(node.value)
+            return
+        if isinstance(node, ast.FunctionDef):
+            self.depth += 1
+            for part in (*node.args.defaults, *filter(None, node.args.kw_defaults), *node.body):
+                self.visit(part)
+            self.depth -= 1
+            return
+        if (
+            isinstance(node, ast.Subscript)
+            and isinstance(node.value, ast.Name)
+            and node.value.id == "Literal"
+        ):
+            return
+        if isinstance(node, ast.UnaryOp) and isinstance(node.op, ast.Not):
+            self.add(node, "comparison", [f"({self.text(node.operand)})"])
+        elif isinstance(node, ast.BoolOp):
+            words = (" or ", " and ") if isinstance(node.op, ast.And) else (" and ", " or ")
+            self.add(
+                node, "comparison", ["(" + words[0].join(f"({self.text(one)})" for one in node.values) + ")"]
+            )
+        elif isinstance(node, ast.Compare) and len(node.ops) == 1:
+            left, right = self.text(node.left), self.text(node.comparators[0])
+            self.add(node, "comparison", [f"(({left}) {FLIPPED[type(node.ops[0])]} ({right}))"])
+        elif (
+            isinstance(node, ast.BinOp) and isinstance(node.op, ast.Add | ast.Sub) and not self.is_text(node)
+        ):
+            other = "-" if isinstance(node.op, ast.Add) else "+"
+            self.add(node, "sign", [f"(({self.text(node.left)}) {other} ({self.text(node.right)}))"])
+        elif (
+            isinstance(node, ast.AugAssign)
+            and isinstance(node.op, ast.Add | ast.Sub)
+            and not self.is_text(node)
+        ):
+            other = "-" if isinstance(node.op, ast.Add) else "+"
+            self.add(node, "sign", [f"{self.text(node.target)} {other}= ({self.text(node.value)})"])
+        elif isinstance(node, ast.UnaryOp) and isinstance(node.op, ast.USub):
+            self.add(node, "sign", [f"({self.text(node.operand)})"])
+        elif isinstance(node, ast.Constant) and type(node.value) in (int, float):
+            kind = "number" if self.depth else "constant"
+            self.add(node, kind, self.other_numbers(node.value))
+        self.generic_visit(node)
+
+    @staticmethod
+    def other_numbers(value: float) -> list[str]:
+        if value == 0:
+            return ["1"]
+        tenth = value / 10 if isinstance(value, float) or value % 10 else value // 10
+        if isinstance(tenth, float) and isinstance(value, int):
+            return [f"{value * 10}", f"(-{value})"]
+        return [repr(value * 10), repr(tenth), f"(-{value!r})"]
+
+    @staticmethod
+    def is_text(node: ast.AST) -> bool:
+        texts = (ast.JoinedStr, ast.List, ast.Tuple)
+        return any(
+            isinstance(one, texts) or (isinstance(one, ast.Constant) and isinstance(one.value, str | bytes))
+            for one in ast.walk(node)
+        )
+
+    def text(self, node: ast.AST) -> str:
+        return ast.get_source_segment(self.source, node) or ""
+
+    def add(self, node: ast.expr | ast.stmt, kind: str, texts: list[str]) -> None:
+        start, end = (
+            self.starts[line - 1] + len(self.source[self.starts[line - 1] :].encode()[:column].decode())
+            for line, column in (
+                (node.lineno, node.col_offset),
+                (node.end_lineno or 0, node.end_col_offset or 0),
+            )
+        )
+        for text in texts:
+            ast.parse(self.source[:start] + text + self.source[end:])
+        was = " ".join(self.source[start:end].split())
+        self.found.append(
+            [
+                Mutant(self.path, node.lineno, kind, start, end, text, f"{was} -> {' '.join(text.split())}")
+                for text in texts
+            ]
+        )
+
+
+def files_of(room: str) -> list[Path]:
+    place = ROOT / "morphspace" / room
+    return [place] if place.suffix == ".py" else sorted(place.rglob("*.py"))
+
+
+def mutants(rooms: list[str], count: int, seed: int, kinds: tuple[str, ...] = KINDS) -> list[Mutant]:
+    """Draw `count` different mutants, equally many of each kind; all of them where `count` is 0."""
+    sites = [changes for room in rooms for path in files_of(room) for changes in Sites(path).found]
+    rng = random.Random(seed)
+    drawn: list[Mutant] = []
+    for number, kind in enumerate(kinds):
+        those = [changes for changes in sites if changes[0].kind == kind]
+        if count == 0:
+            drawn += [change for changes in those for change in changes]
+            continue
+        share = count // len(kinds) + (number < count % len(kinds))
+        drawn += [rng.choice(changes) for changes in rng.sample(those, min(share, len(those)))]
+    return sorted(drawn, key=lambda one: (one.where.split(":")[0], one.line, one.start))
+
+
+def imported(path: Path) -> set[str]:
+    """Give the modules of the package that a file names in its imports."""
+    found: set[str] = set()
+    for node in ast.walk(ast.parse(path.read_text())):
+        if isinstance(node, ast.ImportFrom) and node.module:
+            found |= {node.module, *(f"{node.module}.{alias.name}" for alias in node.names)}
+        elif isinstance(node, ast.Import):
+            found |= {alias.name for alias in node.names}
+    return {name for name in found if name.startswith("morphspace")}
+
+
+def near_tests(path: Path, root: Path) -> list[str]:
+    """Give the tests to run first: those of the module's room, and those that name it or a verb that imports it."""
+    module = ".".join(path.relative_to(root).with_suffix("").parts)
+    users = {module}
+    for verb in (root / "morphspace" / "verbs").glob("*.py"):
+        if module in imported(verb) or module.rpartition(".")[0] in imported(verb):
+            users.add(f"morphspace.verbs.{verb.stem}")
+    room = root / "tests" / path.relative_to(root / "morphspace").parts[0]
+    files = sorted(room.glob("test_*.py"), key=lambda one: (module not in imported(one), one))
+    others = sorted(one for one in (root / "tests").rglob("test_*.py") if one not in files)
+    files += [one for one in others if imported(one) & users]
+    return [str(one.relative_to(root)) for one in files]
+
+
+@dataclass
+class Copy:
+    """A copy of the project in which one mutant after the other lives."""
+
+    folder: Path
+
+    def pytest(self, words: list[str], timeout_s: float) -> tuple[str, str]:
+        """Run the default tests named by `words`: `passed`, `killed` with the first failure, or `timeout`."""
+        environment = {**os.environ, "PYTHONPATH": str(self.folder), "PYTHONDONTWRITEBYTECODE": "1"}
+        command = [sys.executable, "-m", "pytest", "-x", "-q", "-n", "0", "-p", "no:cacheprovider", *words]
+        process = subprocess.Popen(
+            command,
+            cwd=self.folder,
+            env=environment,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
+            text=True,
+            start_new_session=True,
+        )
+        try:
+            out, _ = process.communicate(timeout=timeout_s)
+        except subprocess.TimeoutExpired:
+            os.killpg(process.pid, signal.SIGKILL)
+            process.communicate()
+            return "timeout", ""
+        if process.returncode in (0, 5):  # 5: no test was collected
+            return "passed", ""
+        first = re.search(r"^(?:FAILED|ERROR) (\S+)", out, re.MULTILINE)
+        return "killed", first[1] if first else out.strip().splitlines()[-1]
+
+    def verdict(self, mutant: Mutant, timeout_s: float, near_only: bool) -> tuple[str, str]:
+        place = self.folder / mutant.path.relative_to(ROOT)
+        source = place.read_text()
+        place.write_text(source[: mutant.start] + mutant.text + source[mutant.end :])
+        try:
+            near = near_tests(self.folder / mutant.path.relative_to(ROOT), self.folder)
+            verdict = self.pytest(near, timeout_s)
+            if verdict[0] == "passed" and not near_only:
+                verdict = self.pytest([f"--ignore={one}" for one in near], timeout_s)
+            return verdict
+        finally:
+            place.write_text(source)
+
+
+def judged(drawn: list[Mutant], options: argparse.Namespace) -> Iterator[tuple[Mutant, str, str]]:
+    waiting: queue.Queue[Mutant] = queue.Queue()
+    done: queue.Queue[tuple[Mutant, str, str]] = queue.Queue()
+    for mutant in drawn:
+        waiting.put(mutant)
+
+    def work(copy: Copy) -> None:
+        while True:
+            try:
+                mutant = waiting.get_nowait()
+            except queue.Empty:
+                return
+            done.put((mutant, *copy.verdict(mutant, options.timeout, options.near_only)))
+
+    with tempfile.TemporaryDirectory(prefix="mutants-") as folder:
+        for number in range(min(options.workers, len(drawn))):
+            copy = Copy(Path(folder) / str(number))
+            shutil.copytree(ROOT, copy.folder, ignore=NOT_COPIED)
+            threading.Thread(target=work, args=(copy,), daemon=True).start()
+        for _ in drawn:
+            yield done.get()
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--count", type=int, default=60, help="mutants; 0 takes all there are")
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--rooms", nargs="+", default=list(ROOMS), help="folders or files of the package")
+    parser.add_argument("--kinds", nargs="+", choices=KINDS, default=list(KINDS))
+    parser.add_argument("--workers", type=int, default=max(1, len(os.sched_getaffinity(0))))
+    parser.add_argument(
+        "--timeout", type=float, default=900.0, help="seconds for each of the two runs of tests"
+    )
+    parser.add_argument("--near-only", action="store_true", help="leave out the tests of other rooms")
+    parser.add_argument("--list", action="store_true", help="list the mutants and stop")
+    options = parser.parse_args()
+    drawn = mutants(options.rooms, options.count, options.seed, tuple(options.kinds))
+    if options.list:
+        print(*(f"{one.where}  {one.shown}" for one in drawn), sep="\n")
+        return 0
+    started, survivors, rows = time.monotonic(), 0, []
+    for mutant, verdict, by in judged(drawn, options):
+        survivors += verdict == "passed"
+        rows.append(
+            f"{'SURVIVED' if verdict == 'passed' else verdict:8}  {mutant.where}  {mutant.shown}  {by}"
+        )
+        print(rows[-1], flush=True)
+    print(
+        f"\n{len(drawn) - survivors} of {len(drawn)} killed in {(time.monotonic() - started) / 60:.0f} min\n"
+    )
+    print(*sorted(row for row in rows if row.startswith("SURVIVED")), sep="\n")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
