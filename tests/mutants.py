@@ -8,7 +8,8 @@ each kind, drawn from the rooms below. Docstrings, annotations, f-strings and th
 
 Each mutant lives in a copy of the project, never in the working tree. The tests of its own room and of the verbs that
 use the module run first; what they let through meets all other default tests. A mutant that all tests pass has
-survived: a test is missing, or the change makes no difference that matters.
+survived: a test is missing, or the change makes no difference that matters. Tests that fail before anything was changed
+are left out, and named.
 """
 
 from __future__ import annotations
@@ -203,14 +204,16 @@ def near_tests(path: Path, root: Path) -> list[str]:
 
 @dataclass
 class Copy:
-    """A copy of the project in which one mutant after the other lives."""
+    """A copy of the project in which one mutant after the other lives; `failing` tests fail without any mutant."""
 
     folder: Path
+    failing: list[str]
 
     def pytest(self, words: list[str], timeout_s: float) -> tuple[str, str]:
-        """Run the default tests named by `words`: `passed`, `killed` with the first failure, or `timeout`."""
+        """Run the default tests named by `words`: `passed`, `killed` with all failures, or `timeout`."""
         environment = {**os.environ, "PYTHONPATH": str(self.folder), "PYTHONDONTWRITEBYTECODE": "1"}
-        command = [sys.executable, "-m", "pytest", "-x", "-q", "-n", "0", "-p", "no:cacheprovider", *words]
+        words = [*words, *(f"--deselect={one}" for one in self.failing)]
+        command = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", *words]
         process = subprocess.Popen(
             command,
             cwd=self.folder,
@@ -228,8 +231,8 @@ class Copy:
             return "timeout", ""
         if process.returncode in (0, 5):  # 5: no test was collected
             return "passed", ""
-        first = re.search(r"^(?:FAILED|ERROR) (\S+)", out, re.MULTILINE)
-        return "killed", first[1] if first else out.strip().splitlines()[-1]
+        found = re.findall(r"^(?:FAILED|ERROR) (\S+)", out, re.MULTILINE)
+        return "killed", " ".join(found) or out.strip().splitlines()[-1]
 
     def verdict(self, mutant: Mutant, timeout_s: float, near_only: bool) -> tuple[str, str]:
         place = self.folder / mutant.path.relative_to(ROOT)
@@ -237,9 +240,9 @@ class Copy:
         place.write_text(source[: mutant.start] + mutant.text + source[mutant.end :])
         try:
             near = near_tests(self.folder / mutant.path.relative_to(ROOT), self.folder)
-            verdict = self.pytest(near, timeout_s)
+            verdict = self.pytest(["-x", "-n", "0", *near], timeout_s)
             if verdict[0] == "passed" and not near_only:
-                verdict = self.pytest([f"--ignore={one}" for one in near], timeout_s)
+                verdict = self.pytest(["-x", "-n", "0", *(f"--ignore={one}" for one in near)], timeout_s)
             return verdict
         finally:
             place.write_text(source)
@@ -260,9 +263,15 @@ def judged(drawn: list[Mutant], options: argparse.Namespace) -> Iterator[tuple[M
             done.put((mutant, *copy.verdict(mutant, options.timeout, options.near_only)))
 
     with tempfile.TemporaryDirectory(prefix="mutants-") as folder:
-        for number in range(min(options.workers, len(drawn))):
-            copy = Copy(Path(folder) / str(number))
+        copies = [Copy(Path(folder) / str(number), []) for number in range(min(options.workers, len(drawn)))]
+        for copy in copies:
             shutil.copytree(ROOT, copy.folder, ignore=NOT_COPIED)
+        near = {test for mutant in drawn for test in near_tests(mutant.path, ROOT)}
+        as_they_are = sorted(near) if options.near_only else []
+        _, failing = copies[0].pytest(["-n", str(options.workers), *as_they_are], 4 * options.timeout)
+        print(f"without a mutant these tests fail, and are left out: {failing or 'none'}\n", flush=True)
+        for copy in copies:
+            copy.failing = failing.split()
             threading.Thread(target=work, args=(copy,), daemon=True).start()
         for _ in drawn:
             yield done.get()

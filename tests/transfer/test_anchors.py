@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
+from morphspace.face.mesh import LANDMARKS, landmark_places
 from morphspace.grid import warp
-from morphspace.model.landmarks import LANDMARKS, landmark_places
 from morphspace.transfer.colours import MixedColours
 from morphspace.transfer.mimicry import auto_gain, mimic
 from morphspace.transfer.quality import reach_of
