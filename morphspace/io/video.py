@@ -9,11 +9,11 @@ BT.601 below.
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, BinaryIO, Literal
 
 import av
 import numpy as np
@@ -22,7 +22,6 @@ from av.video.reformatter import Interpolation
 from morphspace.arrays import Image
 from morphspace.errors import BadInput, SizeMismatch, UnreadableFile, UnwritableFile
 from morphspace.io.colour import check_image, codes_of
-from morphspace.io.containers import check_length
 from morphspace.storage import whole_file
 
 Encoding = Literal["people", "lossless"]
@@ -35,6 +34,8 @@ RATE_DENOMINATOR = 1001  # holds 30000/1001 and its kin exactly
 HD_HEIGHT = 720  # px; unflagged video at least this high is BT.709, as players assume
 BT601, BT709, BT2020, MPEG_RANGE = 5, 1, 9, 1  # the numbers of ITU-T H.273 as libav uses them
 MATRICES = {1: BT709, 4: 4, 5: BT601, 6: BT601, 7: 7, 9: BT2020, 10: BT2020}  # flag -> matrix swscale knows
+EBML_HEADER, SEGMENT = 0x1A45DFA3, 0x18538067  # Matroska element numbers (RFC 8794, RFC 9559)
+MP4_FIRST_BOXES = (b"ftyp", b"moov", b"mdat", b"free", b"skip", b"wide")
 HDR_CURVES = {16: "PQ", 18: "HLG"}
 PRECISE = (
     Interpolation.BICUBIC
@@ -151,7 +152,7 @@ def _decoded(path: Path) -> Iterator[tuple[Any, float]]:
     """Yield each decoded frame with the stream's mean rate; every way of being damaged becomes
     `UnreadableFile`.
     """
-    check_length(path)
+    _check_whole(path)
     count = 0
     try:
         with av.open(str(path)) as container:
@@ -173,6 +174,76 @@ def _decoded(path: Path) -> Iterator[tuple[Any, float]]:
         ) from error
     if count == 0:
         raise UnreadableFile(f"{path} holds no frames: copy it again")
+
+
+def _check_whole(path: Path) -> None:
+    """Raise `UnreadableFile` where a file is empty, or shorter than the lengths of its own parts add up to.
+
+    libav ends without an error where a Matroska or WebM file was cut, and where an AVI, or an MP4 with its index in
+    front, was cut between two frames: the clip would lose its last expressions. An MPEG stream holds no such length.
+    """
+    try:
+        size = path.stat().st_size
+        with path.open("rb") as file:
+            head = file.read(12)
+            file.seek(0)
+            needed = size
+            if head[:4] == EBML_HEADER.to_bytes(4, "big"):
+                needed = _matroska_end(file)
+            elif head[4:8] in MP4_FIRST_BOXES:
+                needed = _parts_end(file, size, _box_bytes)
+            elif head[:4] == b"RIFF":
+                needed = _parts_end(file, size, _riff_bytes)
+    except OSError as error:
+        raise UnreadableFile(
+            f"cannot read {path}: {error.strerror}; check the name and the permissions"
+        ) from error
+    if size == 0:
+        raise UnreadableFile(f"{path} is empty (0 bytes): copy it again")
+    if needed > size:
+        raise UnreadableFile(f"{path} is cut short: {needed} bytes expected, {size} found; copy it again")
+
+
+def _parts_end(file: BinaryIO, size: int, bytes_of: Callable[[bytes], int]) -> int:
+    """Return where the last part at the top level ends; `bytes_of` reads the length of a part from its first bytes."""
+    place = 0
+    while place + 8 <= size:
+        file.seek(place)
+        length = bytes_of(file.read(16))
+        if length < 8:  # the part reaches to the end of the file, or is padding
+            return size
+        place += length
+    return place
+
+
+def _box_bytes(head: bytes) -> int:
+    length = int.from_bytes(head[:4], "big")
+    return int.from_bytes(head[8:16], "big") if length == 1 else length
+
+
+def _riff_bytes(head: bytes) -> int:
+    return 8 + int.from_bytes(head[4:8], "little") if head[:4] == b"RIFF" else 0
+
+
+def _matroska_end(file: BinaryIO) -> int:
+    """Return where the segment ends; a live recording of unknown length counts as whole."""
+    _read_number(file)
+    _, header_length, _ = _read_number(file)
+    file.seek(header_length, 1)
+    kind, _, _ = _read_number(file)
+    _, length, width = _read_number(file)
+    is_unknown = length == (1 << 7 * width) - 1
+    return 0 if kind != SEGMENT or is_unknown else file.tell() + length
+
+
+def _read_number(file: BinaryIO) -> tuple[int, int, int]:
+    """Read an EBML number: with its width marker (the name of an element), without it (a length), its width, bytes."""
+    first = file.read(1)
+    if not first or first[0] == 0:
+        return 0, 0, 0
+    width = 9 - first[0].bit_length()  # the leading zeros of the first byte give the number of bytes
+    number = int.from_bytes(first + file.read(width - 1), "big")
+    return number, number & ((1 << 7 * width) - 1), width
 
 
 def _images(path: Path, wanted: frozenset[int] | None) -> Iterator[tuple[int, Image]]:
