@@ -1,7 +1,7 @@
-"""What a request is, and which verbs there are.
+"""What a request is: one declaration gives the Python constructor, the command line, recipes and their JSON Schema.
 
-A verb is a file of `morphspace.verbs`: a frozen request, called after the file, and a `run` that does it. The list of
-verbs is the list of these files. Ours.
+A verb is a file of `morphspace.verbs`. It declares a frozen dataclass, named after the file, whose fields are settings
+(`morphspace.settings`), and a `run` that does what an instance asks for. The list of verbs is the list of these files.
 """
 
 from __future__ import annotations
@@ -10,24 +10,164 @@ import dataclasses
 import importlib
 import pkgutil
 import typing
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any, Literal
+
+from annotated_types import Ge, Le
 
 from morphspace.errors import BadInput
+from morphspace.settings import (
+    Argument,
+    Field,
+    Help,
+    NamesFile,
+    Option,
+    Separated,
+    WrongSetting,
+    converted,
+    field_of,
+)
 
 VERBS_PACKAGE = "morphspace.verbs"
+OUTPUT = "output"  # the field that says where results go, which a recipe never sets
+NOTHING = "none"  # how a text of a recipe says null
 
+# Kinds of settings that several verbs share.
 
-@dataclass(frozen=True)
-class NamesFile:
-    """Marks a setting that is a text and the name of a file or clip at once: a recipe opens it from its own folder."""
-
-
-ClipText = typing.Annotated[str, NamesFile()]
+ClipText = Annotated[str, NamesFile()]
 """A folder, a quoted glob, a picture, a video, a model or a row of a table, as a text."""
+
+Model = Annotated[Path, Argument("MODEL"), Help("The face model (.morph).")]
+Clip = Annotated[
+    tuple[ClipText, ...],
+    Argument("CLIP..."),
+    Help("Image files, a folder, a quoted glob, or a video."),
+]
+Folder = Annotated[Path, Option("-o", "--output"), Help("The folder to write into.")]
+Crop = Annotated[tuple[int, int, int, int], Separated(",", "10,20,200,240"), Option(metavar="X,Y,W,H")]
+Size = Annotated[tuple[int, int], Separated("xX", "200x240"), Option(metavar="WxH")]
+FrameCrop = Annotated[Crop | None, Help("Cut this box out of every frame first, px.")]
+FrameRate = Annotated[
+    float | None,
+    Ge(1),
+    Le(1000),
+    Option("--frame-rate", metavar="HZ"),
+    Help("Frames a second of a video."),
+]
+Frames = Annotated[
+    tuple[str, ...],
+    Option("--frame", metavar="NAME"),
+    Help("Only this frame; may be given again [default: all]."),
+]
+Seed = Annotated[int, Ge(0), Help("The same seed gives the same result.")]
+VideoSuffix = Literal[".mp4", ".mkv"]
+
+
+@cache
+def fields_of(request: type) -> tuple[Field, ...]:
+    """Read the declaration of a request.
+
+    Parameters
+    ----------
+    request : type
+        A frozen dataclass with annotated fields.
+
+    Returns
+    -------
+    tuple of Field
+        Its settings, in their order.
+    """
+    hints = typing.get_type_hints(request, include_extras=True)
+    fields: Any = dataclasses.fields(request)
+    return tuple(field_of(one.name, hints[one.name], one.default) for one in fields)
+
+
+def field_named(request: type, name: str) -> Field:
+    """Give one setting of a request by its name."""
+    return next(field for field in fields_of(request) if field.name == name)
+
+
+def checked(request: Any) -> None:
+    """Convert every setting of a new request to its kind: the `__post_init__` of each request.
+
+    Raises
+    ------
+    WrongSetting
+        Where a value cannot be converted or lies outside its limits.
+    """
+    kind: type = type(request)
+    for field in fields_of(kind):
+        value = converted(field, getattr(request, field.name))
+        object.__setattr__(request, field.name, value)
+
+
+def request_from(
+    kind: type, settings: Mapping[str, Any], place: Callable[[str], Path] = Path, **more: Any
+) -> Any:
+    """Make a request of what a recipe says.
+
+    Parameters
+    ----------
+    kind : type
+        The request.
+    settings : mapping
+        Values by the names of settings; the text `none` stands for None where that is a value.
+    place : callable
+        Turns the words of a path into a path.
+    **more
+        Settings that the recipe does not have, as they are.
+
+    Raises
+    ------
+    WrongSetting
+        Where a setting is missing, or has a value it cannot have.
+    """
+    values = {}
+    for field in fields_of(kind):
+        if field.name in settings:
+            given = settings[field.name]
+            is_nothing = field.optional and isinstance(given, str) and given == NOTHING
+            values[field.name] = None if is_nothing else converted(field, given, place)
+        elif field.required and field.name not in more:
+            raise WrongSetting(field.name, f"is missing; expected {field.words}")
+    return kind(**values, **more)
+
+
+# Records of requests.
+
+
+def request_document(request: Any) -> dict[str, Any]:
+    """Give a frozen request as JSON: every field but `output`, paths as they were given (`told_path`)."""
+    return {field.name: _told(getattr(request, field.name)) for field in settings_of(type(request))}
+
+
+def _told(value: Any) -> Any:
+    if isinstance(value, Path):
+        return told_path(value)
+    if isinstance(value, str) and Path(value).is_absolute():
+        return told_path(Path(value))
+    if isinstance(value, tuple | list):
+        return [_told(one) for one in value]
+    if isinstance(value, Mapping):
+        return {str(key): _told(one) for key, one in value.items()}
+    return value
+
+
+def told_path(path: Path) -> str:
+    """Give a path as records name it: as it was given, or from the working folder, or else its last part alone.
+
+    Where a person keeps files is nobody's business who gets a stimulus.
+    """
+    if not path.is_absolute():
+        return path.as_posix()
+    folder = Path.cwd()
+    return path.relative_to(folder).as_posix() if path.is_relative_to(folder) else path.name
+
+
+# The verbs.
 
 
 @dataclass(frozen=True)
@@ -48,21 +188,24 @@ class Verb:
     asked: Callable[[Any], int] = lambda request: 1
 
     @property
+    def help(self) -> str:
+        """What it does: the docstring of its request."""
+        return typing.cast(str, self.request.__doc__)
+
+    @property
     def settings(self) -> tuple[str, ...]:
         """Give the names of the fields a recipe may set: all but where the output goes."""
-        return tuple(field.name for field in dataclasses.fields(self.request) if field.name != "output")
+        return tuple(field.name for field in settings_of(self.request))
 
     @property
     def files(self) -> tuple[str, ...]:
         """Give the names of the settings that are texts and names of files at once (`NamesFile`)."""
-        hints = typing.get_type_hints(self.request, include_extras=True)
-        return tuple(name for name in self.settings if _names_file(hints[name]))
+        return tuple(field.name for field in settings_of(self.request) if field.names_files)
 
 
-def _names_file(hint: Any) -> bool:
-    if any(isinstance(mark, NamesFile) for mark in getattr(hint, "__metadata__", ())):
-        return True
-    return any(_names_file(inner) for inner in typing.get_args(hint))
+def settings_of(request: type) -> tuple[Field, ...]:
+    """Give the fields of a request that say what is made: all but where the output goes."""
+    return tuple(field for field in fields_of(request) if field.name != OUTPUT)
 
 
 @cache
@@ -79,53 +222,26 @@ def verb_named(name: str) -> Verb:
         raise BadInput(f"the verb is {name!r}; expected one of {', '.join(verb_names())}")
     file = name.replace("-", "_")
     module = importlib.import_module(f"{VERBS_PACKAGE}.{file}")
-    request = getattr(module, "".join(map(str.capitalize, file.split("_"))) + "Request", None)
+    request = getattr(module, _request_name(file), None)
     if request is None:
-        raise BadInput(f"{file}.py of the verbs declares no request; expected a class named after the file")
+        raise BadInput(f"{file}.py declares no request; expected a class called {_request_name(file)}")
     optional = {key: getattr(module, key) for key in ("plan", "check", "asked") if hasattr(module, key)}
     return Verb(name, request, module.run, **optional)
+
+
+def _request_name(file: str) -> str:
+    return "".join(map(str.capitalize, file.split("_"))) + "Request"
+
+
+def all_verbs() -> Iterator[Verb]:
+    """Import the files of all verbs, and give them."""
+    for name in verb_names():
+        file = name.replace("-", "_")
+        if hasattr(importlib.import_module(f"{VERBS_PACKAGE}.{file}"), _request_name(file)):
+            yield verb_named(name)
 
 
 @cache
 def recipe_verbs() -> Mapping[str, Verb]:
     """Import every verb and give, by name, those that a recipe may use."""
-    verbs = {name: verb_named(name) for name in verb_names() if _declares(name)}
-    return {name: verb for name, verb in verbs.items() if verb.plan or verb.check}
-
-
-def _declares(name: str) -> bool:
-    file = name.replace("-", "_")
-    module = importlib.import_module(f"{VERBS_PACKAGE}.{file}")
-    return hasattr(module, "".join(map(str.capitalize, file.split("_"))) + "Request")
-
-
-def request_document(request: Any) -> dict[str, Any]:
-    """Give a frozen request as JSON: every field but `output`, paths as they were given (`told_path`)."""
-    return {
-        entry.name: _told(getattr(request, entry.name))
-        for entry in dataclasses.fields(request)
-        if entry.name != "output"
-    }
-
-
-def _told(value: Any) -> Any:
-    if isinstance(value, Path):
-        return told_path(value)
-    if isinstance(value, str) and Path(value).is_absolute():
-        return told_path(Path(value))
-    if isinstance(value, tuple | list):
-        return [_told(one) for one in value]
-    if isinstance(value, Mapping):
-        return {str(key): _told(one) for key, one in value.items()}
-    return value
-
-
-def told_path(path: Path) -> str:
-    """Give a path as records tell it: as it was given, or where that was absolute from the working folder, or its name.
-
-    Where a person keeps files is nobody's business who gets a stimulus.
-    """
-    if not path.is_absolute():
-        return path.as_posix()
-    folder = Path.cwd()
-    return path.relative_to(folder).as_posix() if path.is_relative_to(folder) else path.name
+    return {verb.name: verb for verb in all_verbs() if verb.plan or verb.check}

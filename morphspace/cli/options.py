@@ -1,0 +1,76 @@
+"""The command line of a verb, made from the declaration of its request."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import click
+
+from morphspace.requests import field_named, fields_of
+from morphspace.settings import Field, WrongSetting
+
+REPEATED = -1  # the `nargs` of click for any number of values
+
+
+def parameters_of(request: type) -> list[click.Parameter]:
+    """Make the click parameters of a request, arguments first.
+
+    All of them take texts: the request itself converts and checks them.
+    """
+    fields = [field for field in fields_of(request) if field.spoken]
+    arguments = [_argument(field) for field in fields if field.argument is not None]
+    return [*arguments, *(_option(field) for field in fields if field.argument is None)]
+
+
+def request_of_words(request: type, words: Mapping[str, Any]) -> Any:
+    """Make a request of the words of the command line, by the names of its fields; what was not given is left out.
+
+    Raises
+    ------
+    click.UsageError
+        Where a word is not what its setting takes. It names the option.
+    """
+    context = click.get_current_context()
+    default = click.core.ParameterSource.DEFAULT
+    given = {
+        name: value for name, value in words.items() if context.get_parameter_source(name) is not default
+    }
+    try:
+        return request(**given)
+    except WrongSetting as error:
+        raise click.UsageError(error.called(field_named(request, error.name).spoken), context) from error
+
+
+def _argument(field: Field) -> click.Argument:
+    return click.Argument(
+        [field.name],
+        nargs=field.word_count or REPEATED,
+        required=field.required,
+        type=click.UNPROCESSED,
+        metavar=field.spoken,
+    )
+
+
+def _option(field: Field) -> click.Option:
+    shared: dict[str, Any] = {"required": field.required, "help": _help(field)}
+    if field.kind is bool:
+        return click.Option([*field.flags, field.name], is_flag=True, **shared)
+    if field.gives is not None:
+        return click.Option([*field.flags, field.name], flag_value=field.gives, default=None, **shared)
+    return click.Option(
+        [*field.flags, field.name],
+        type=click.UNPROCESSED,
+        nargs=field.word_count or 1,
+        multiple=field.word_count is None,
+        metavar=field.metavar,
+        **shared,
+    )
+
+
+def _help(field: Field) -> str:
+    """Give the help of an option, with its default and its limits."""
+    notes = [f"default: {field.default_words}"] if field.default_words else []
+    if field.limits:
+        notes.append(field.limits)
+    return f"{field.help}  [{'; '.join(notes)}]" if notes else field.help

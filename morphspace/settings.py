@@ -1,0 +1,455 @@
+"""What a setting of a request may be: how it is declared, converted, refused, and said in words.
+
+A setting is a field of a request, annotated with its type, its limits and its help:
+
+    count: Annotated[int, Ge(1), Le(100_000), Option("-n", "--count"), Help("How many faces.")] = 16
+
+Whether a value comes from Python, from a recipe or as a text from the command line, `converted` gives the value of the
+type, or refuses it with the same words. Nothing heavy is imported here: `--help` reads these declarations. Ours.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+import numbers
+import os
+import re
+import types
+import typing
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from annotated_types import Ge, Gt, Le
+
+from morphspace.errors import BadInput
+
+NUMBER_SEPARATORS, TEXT_SEPARATORS = ",;", ";"  # between the values of a list that is written as one text
+LONGEST_SHOWN = 60  # characters of a refused value in a message
+
+# What a field may be annotated with, besides the limits Ge, Gt and Le of `annotated_types`.
+
+
+@dataclass(frozen=True)
+class Help:
+    """One or two sentences on what the setting does."""
+
+    text: str
+
+
+@dataclass(frozen=True)
+class Argument:
+    """Marks a setting that the command line takes without an option; `metavar` stands for it in the help."""
+
+    metavar: str
+
+
+@dataclass(frozen=True, init=False)
+class Option:
+    """The option of a setting, where it is not `--` and the field's name.
+
+    `metavar` stands for its value in the help; an option that `gives` a value takes none.
+    """
+
+    flags: tuple[str, ...]
+    metavar: str | None
+    gives: str | None
+
+    def __init__(self, *flags: str, metavar: str | None = None, gives: str | None = None) -> None:
+        for name, value in (("flags", flags), ("metavar", metavar), ("gives", gives)):
+            object.__setattr__(self, name, value)
+
+
+@dataclass(frozen=True)
+class NotAnOption:
+    """Marks a setting that Python and recipes have and the command line has not."""
+
+
+@dataclass(frozen=True)
+class NamesFile:
+    """Marks a text that names files: a recipe looks for them from its own folder."""
+
+
+@dataclass(frozen=True)
+class OneOf:
+    """The texts a setting may be, where they are declared elsewhere and a `Literal` would repeat them."""
+
+    values: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class Spelled:
+    """The word that means None in a text, such as auto or all."""
+
+    nothing: str
+
+
+@dataclass(frozen=True)
+class Separated:
+    """Marks a list that the command line takes as one text; `by` holds the characters that separate its values."""
+
+    by: str
+    example: str
+
+
+@dataclass(frozen=True)
+class Field:
+    """One setting of a request: its `name`, its `kind` (the type without marks), the `marks`, and its default."""
+
+    name: str
+    kind: Any
+    marks: tuple[Any, ...]
+    default: Any = dataclasses.MISSING
+
+    @property
+    def required(self) -> bool:
+        """Whether it has no default."""
+        return self.default is dataclasses.MISSING
+
+    @property
+    def optional(self) -> bool:
+        """Whether it may be None."""
+        return type(None) in typing.get_args(self.kind)
+
+    @property
+    def help(self) -> str:
+        """What it does, in one or two sentences."""
+        mark = _mark(self.marks, Help)
+        return "" if mark is None else mark.text
+
+    @property
+    def argument(self) -> Argument | None:
+        """How the command line takes it without an option, or None."""
+        return _mark(self.marks, Argument)
+
+    @property
+    def flags(self) -> tuple[str, ...]:
+        """Give its options on the command line, the longest last."""
+        options = [mark for mark in self.marks if isinstance(mark, Option) and mark.flags]
+        return options[-1].flags if options else (f"--{self.name.replace('_', '-')}",)
+
+    @property
+    def gives(self) -> str | None:
+        """The value that its option stands for, where the option takes none."""
+        given = [mark.gives for mark in self.marks if isinstance(mark, Option) and mark.gives]
+        return given[-1] if given else None
+
+    @property
+    def spoken(self) -> str:
+        """What the command line calls it, empty where it does not ask for it."""
+        if _mark(self.marks, NotAnOption) is not None:
+            return ""
+        return self.flags[-1] if self.argument is None else self.argument.metavar
+
+    @property
+    def metavar(self) -> str:
+        """What stands for its value in the help."""
+        named = [mark.metavar for mark in self.marks if isinstance(mark, Option) and mark.metavar]
+        return named[-1] if named else _metavar(self.kind, self.marks)
+
+    @property
+    def words(self) -> str:
+        """Say what a value of it is, such as `a whole number from 1 to 100`."""
+        return worded(self.kind, self.marks)
+
+    @property
+    def limits(self) -> str:
+        """Say between which numbers it lies, empty where it is no number or any."""
+        values = self.values
+        return _limits(self.marks if values is None else _bare(values[0])[1])
+
+    @property
+    def names_files(self) -> bool:
+        """Whether its texts name files (`NamesFile`)."""
+        return _names_files(self.kind, self.marks)
+
+    @property
+    def values(self) -> tuple[Any, ...] | None:
+        """Give the kinds of a list's values, ending in `...` for any number of them, or None for what is no list."""
+        members = typing.get_args(self.kind) if _is_union(self.kind) else (self.kind,)
+        return next((typing.get_args(one) for one in members if typing.get_origin(one) is tuple), None)
+
+    @property
+    def word_count(self) -> int | None:
+        """How many words of the command line it takes, None for any number; numbers of a list are one, with commas."""
+        values = self.values
+        if values is None or _mark(self.marks, Separated) is not None:
+            return 1
+        if values[-1] is not Ellipsis:
+            return len(values)
+        return 1 if _is_number(values[0]) else None
+
+    @property
+    def default_words(self) -> str:
+        """Give its default as a text would say it, empty where there is none or the help says what happens."""
+        if self.required or self.default is False or self.default == ():
+            return ""
+        if self.default is None:
+            spelled = _mark(self.marks, Spelled)
+            return "" if spelled is None else spelled.nothing
+        if not isinstance(self.default, tuple):
+            return _spelled(self.default)
+        separated = _mark(self.marks, Separated)
+        usual = "," if typing.get_args(self.kind)[-1] is Ellipsis else " "
+        return (separated.by[0] if separated else usual).join(map(_spelled, self.default))
+
+
+def _spelled(value: Any) -> str:
+    return f"{value:g}" if isinstance(value, float) else str(value)
+
+
+def _is_union(kind: Any) -> bool:
+    return typing.get_origin(kind) in (typing.Union, types.UnionType)
+
+
+def _is_number(kind: Any) -> bool:
+    return _bare(kind)[0] in (int, float)
+
+
+def field_of(name: str, annotation: Any, default: Any = dataclasses.MISSING) -> Field:
+    """Read the declaration of one setting."""
+    return Field(name, *_bare(annotation), default)
+
+
+def _bare(kind: Any, marks: tuple[Any, ...] = ()) -> tuple[Any, tuple[Any, ...]]:
+    """Take the marks off a type: those of a union's members count for the whole, unless it has its own."""
+    if typing.get_origin(kind) is Annotated:
+        inner, *own = typing.get_args(kind)
+        return _bare(inner, (*own, *marks))
+    if _is_union(kind):
+        members = [_bare(member) for member in typing.get_args(kind)]
+        inner_marks = [mark for _, member_marks in members for mark in member_marks]
+        return typing.Union[tuple(member for member, _ in members)], (*inner_marks, *marks)  # noqa: UP007
+    return kind, marks
+
+
+def _names_files(kind: Any, marks: tuple[Any, ...] = ()) -> bool:
+    kind, marks = _bare(kind, marks)
+    return _mark(marks, NamesFile) is not None or any(map(_names_files, typing.get_args(kind)))
+
+
+def _mark(marks: tuple[Any, ...], kind: type) -> Any:
+    """Give the last mark of a kind, which is the most particular, or None."""
+    return next((mark for mark in reversed(marks) if isinstance(mark, kind)), None)
+
+
+# Converting and refusing values.
+
+
+class WrongSetting(BadInput):
+    """A setting has a value it cannot have. The message is `NAME is VALUE; expected WORDS`."""
+
+    def __init__(self, name: str, rest: str) -> None:
+        self.name, self.rest = name, rest
+        super().__init__(self.called(name))
+
+    def called(self, name: str) -> str:
+        """Give the message with the name that the user knows the setting by."""
+        return f"{name} {self.rest}"
+
+
+class _OtherKind(Exception):
+    """A value is not of a kind."""
+
+
+def converted(field: Field, given: Any, place: Callable[[str], Path] = Path) -> Any:
+    """Convert a value, of Python, of a recipe or a text of the command line, to the kind of a setting.
+
+    Parameters
+    ----------
+    field : Field
+        The setting.
+    given : object
+        The value. A text may stand for a number, and for a list its values with separators between them.
+    place : callable
+        Turns the words of a path into a path.
+
+    Returns
+    -------
+    object
+        The value, of the field's kind.
+
+    Raises
+    ------
+    WrongSetting
+        Where it cannot be converted or lies outside its limits.
+    """
+    try:
+        return _converted(given, field.kind, field.marks, place)
+    except _OtherKind as error:
+        raise WrongSetting(field.name, f"is {_shown(given)}; expected {field.words}") from error
+
+
+def _converted(given: Any, kind: Any, marks: tuple[Any, ...], place: Callable[[str], Path]) -> Any:
+    kind, marks = _bare(kind, marks)
+    origin = typing.get_origin(kind)
+    if _is_union(kind):
+        return _of_union(given, kind, marks, place)
+    if origin is tuple:
+        return _of_tuple(given, kind, marks, place)
+    if origin is Literal:
+        for value in typing.get_args(kind):
+            if isinstance(given, str) and given in (value, value.removeprefix(".")):  # mp4 stands for .mp4
+                return value
+    elif kind is type(None):
+        spelled = _mark(marks, Spelled)
+        if given is None or (spelled is not None and given == spelled.nothing):
+            return None
+    elif kind is bool:
+        if isinstance(given, bool) or given in ("true", "false"):
+            return given if isinstance(given, bool) else given == "true"
+    elif kind in (int, float):
+        return _number(given, kind, marks)
+    elif kind is Path:
+        if isinstance(given, str) and given:
+            return place(given)
+        if isinstance(given, os.PathLike):
+            return Path(given)
+    elif kind is str:
+        return _text(given, marks, place)
+    elif isinstance(given, Mapping) and isinstance(origin, type) and issubclass(origin, Mapping):
+        return given
+    raise _OtherKind
+
+
+def _of_union(given: Any, kind: Any, marks: tuple[Any, ...], place: Callable[[str], Path]) -> Any:
+    """Try the members, texts last: a text that can be a number is one where a number may stand."""
+    for member in sorted(typing.get_args(kind), key=lambda one: (one is str, one is Path)):
+        try:
+            return _converted(given, member, marks, place)
+        except _OtherKind:
+            continue
+    raise _OtherKind
+
+
+def _of_tuple(given: Any, kind: Any, marks: tuple[Any, ...], place: Callable[[str], Path]) -> tuple[Any, ...]:
+    inner = typing.get_args(kind)
+    if isinstance(given, str):
+        parts: list[Any] = [part.strip() for part in re.split(_separators(inner, marks), given.strip())]
+    else:
+        parts = list(given) if isinstance(given, list | tuple) else [given]
+    kinds = [inner[0]] * len(parts) if inner[-1] is Ellipsis else list(inner)
+    if len(kinds) != len(parts) or (not parts and isinstance(given, list)):
+        raise _OtherKind
+    return tuple(_converted(part, one, (), place) for part, one in zip(parts, kinds, strict=True))
+
+
+def _separators(inner: tuple[Any, ...], marks: tuple[Any, ...]) -> str:
+    """Give the pattern of what stands between two values of a list that is written as one text."""
+    separated = _mark(marks, Separated)
+    usual = NUMBER_SEPARATORS if _is_number(inner[0]) else TEXT_SEPARATORS
+    by = usual if separated is None else separated.by + usual
+    return f"[{by}]+" if " " in by else f"[{by}]"
+
+
+def _number(given: Any, kind: Any, marks: tuple[Any, ...]) -> float | int:
+    if isinstance(given, str):
+        if not given.isascii() or "_" in given:  # Python reads 1_0 and digits of other scripts as numbers
+            raise _OtherKind
+        try:
+            given = float(given)
+        except ValueError as error:
+            raise _OtherKind from error
+    if isinstance(given, bool) or not isinstance(given, numbers.Real) or not math.isfinite(given):
+        raise _OtherKind
+    number: float | int = kind(given)
+    if number != given and kind is int:
+        raise _OtherKind
+    low, above, high = (_mark(marks, limit) for limit in (Ge, Gt, Le))
+    if (
+        (low is not None and number < low.ge)
+        or (above is not None and number <= above.gt)
+        or (high is not None and number > high.le)
+    ):
+        raise _OtherKind
+    return number
+
+
+def _text(given: Any, marks: tuple[Any, ...], place: Callable[[str], Path]) -> str:
+    if isinstance(given, numbers.Real) and not isinstance(given, bool) and math.isfinite(given):
+        given = repr(given)
+    elif isinstance(given, os.PathLike):
+        given = os.fspath(given)
+    choice = _mark(marks, OneOf)
+    if not isinstance(given, str) or not given.strip() or (choice is not None and given not in choice.values):
+        raise _OtherKind
+    return str(place(given)) if _mark(marks, NamesFile) is not None else given
+
+
+def _shown(given: Any) -> str:
+    if isinstance(given, str) and not given.strip():
+        return "empty"
+    shown = repr(given) if not isinstance(given, tuple) or len(given) != 1 else repr(given[0])
+    return shown if len(shown) <= LONGEST_SHOWN else f"{shown[: LONGEST_SHOWN - 3]}..."
+
+
+# Saying what a kind is.
+
+
+def worded(kind: Any, marks: tuple[Any, ...] = (), *, many: bool = False) -> str:
+    """Say in words what a value of an annotated kind is, or what `many` such values are."""
+    kind, marks = _bare(kind, marks)
+    origin, inner = typing.get_origin(kind), typing.get_args(kind)
+    if _is_union(kind):
+        members = list(filter(None, dict.fromkeys(worded(member, marks, many=many) for member in inner)))
+        return (", or " if any("," in member for member in members) else " or ").join(members)
+    if origin is tuple:
+        separated = _mark(marks, Separated)
+        like = "" if separated is None else f", such as {separated.example}"
+        values = worded(inner[0], many=True)
+        if many:
+            return f"pairs of {values}" if len(inner) == 2 else f"lists of {values}"
+        return f"{'a list of' if inner[-1] is Ellipsis else len(inner)} {values}{like}"
+    if kind is type(None):
+        spelled = _mark(marks, Spelled)
+        return "" if spelled is None else spelled.nothing
+    choice = _mark(marks, OneOf)
+    if origin is Literal or choice is not None:
+        choices = inner if choice is None else choice.values
+        return "one of " + ", ".join(choices) if len(choices) > 1 else str(choices[0])
+    one = {
+        int: "a whole number",
+        float: "a number",
+        str: "a text",
+        Path: "a path",
+        bool: "true or false",
+    }.get(kind, "a mapping")
+    words = f"{one.removeprefix('a ')}s" if many else one
+    return f"{words} {_limits(marks)}".rstrip()
+
+
+def _limits(marks: tuple[Any, ...]) -> str:
+    """Say between which numbers a number lies."""
+    low, above, high = _mark(marks, Ge), _mark(marks, Gt), _mark(marks, Le)
+    if low is not None:
+        return f"from {_figure(low.ge)} " + ("up" if high is None else f"to {_figure(high.le)}")
+    parts = [] if above is None else [f"above {_figure(above.gt)}"]
+    return ", ".join([*parts, f"up to {_figure(high.le)}"] if high is not None else parts)
+
+
+def _figure(limit: Any) -> str:
+    return f"{limit:,}" if isinstance(limit, int) else f"{limit:g}"
+
+
+def _metavar(kind: Any, marks: tuple[Any, ...]) -> str:
+    kind, marks = _bare(kind, marks)
+    origin, inner = typing.get_origin(kind), typing.get_args(kind)
+    if _is_union(kind):
+        return "|".join(dict.fromkeys(filter(None, (_metavar(member, marks) for member in inner))))
+    if origin is Literal:
+        return "|".join(inner)
+    if origin is tuple:
+        one = _metavar(inner[0], ())
+        if inner[-1] is not Ellipsis:
+            return " ".join([one] * len(inner))
+        return f"{one},..." if _is_number(inner[0]) else one
+    if kind is type(None):
+        spelled = _mark(marks, Spelled)
+        return "" if spelled is None else spelled.nothing
+    choice = _mark(marks, OneOf)
+    if choice is not None:
+        return "|".join(choice.values)
+    words: dict[Any, str] = {int: "N", float: "NUMBER", Path: "PATH", bool: ""}
+    return words.get(kind, "TEXT")
