@@ -30,12 +30,16 @@ COMPUTING_PACKAGES = (
 
 @dataclass(frozen=True)
 class Outcome:
-    """What was done: `lines` for a person, `document` for a machine, `warnings` to act on, `written` paths."""
+    """What was done: `lines` for a person, `document` for a machine, `warnings` to act on, `written` paths.
+
+    `exit_code` 0 where all is well; a verb says in its help what others mean.
+    """
 
     lines: tuple[str, ...]
     document: Mapping[str, Any] = field(default_factory=dict)
     warnings: tuple[str, ...] = ()
     written: tuple[Path, ...] = ()
+    exit_code: int = 0
 
 
 @cache

@@ -9,6 +9,7 @@ from __future__ import annotations
 import dataclasses
 import importlib
 import pkgutil
+import types
 import typing
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
@@ -31,7 +32,11 @@ from morphspace.settings import (
     field_of,
 )
 
+Request = typing.TypeVar("Request")
+
 VERBS_PACKAGE = "morphspace.verbs"
+GROUPS = {"models": "The networks that find faces: fetched once, then used offline."}
+"""The first words of the names of several verbs, and what these are about."""
 OUTPUT = "output"  # the field that says where results go, which a recipe never sets
 NOTHING = "none"  # how a text of a recipe says null
 
@@ -64,6 +69,14 @@ Frames = Annotated[
 ]
 Seed = Annotated[int, Ge(0), Help("The same seed gives the same result.")]
 VideoSuffix = Literal[".mp4", ".mkv"]
+VideoOrPictures = Annotated[
+    VideoSuffix | None,
+    Help(
+        "Draw the frames as one motion: .mp4 for people, .mkv lossless; the point may be left out "
+        "[default: a picture a frame]."
+    ),
+]
+VIDEO_SUFFIXES: tuple[VideoSuffix, ...] = typing.get_args(VideoSuffix)
 
 
 @cache
@@ -90,18 +103,24 @@ def field_named(request: type, name: str) -> Field:
     return next(field for field in fields_of(request) if field.name == name)
 
 
-def checked(request: Any) -> None:
-    """Convert every setting of a new request to its kind: the `__post_init__` of each request.
+@typing.dataclass_transform(frozen_default=True)
+def declared(request: type[Request]) -> type[Request]:
+    """Make a class with annotated fields a request: a frozen dataclass whose constructor converts and checks them.
 
-    Raises
-    ------
-    WrongSetting
-        Where a value cannot be converted or lies outside its limits.
+    The constructor raises `WrongSetting` where a value cannot be converted or lies outside its limits. A class may
+    compare its settings with each other in a method `check`, which then follows.
     """
+    setattr(request, "__post_init__", _convert)  # noqa: B010  # mypy knows no such attribute
+    return dataclass(frozen=True)(request)
+
+
+def _convert(request: Any) -> None:
     kind: type = type(request)
     for field in fields_of(kind):
         value = converted(field, getattr(request, field.name))
         object.__setattr__(request, field.name, value)
+    if hasattr(request, "check"):
+        request.check()
 
 
 def request_from(
@@ -172,20 +191,34 @@ def told_path(path: Path) -> str:
 
 @dataclass(frozen=True)
 class Verb:
-    """A verb: its `name` on the command line, the type of its `request`, and what its file does with one.
+    """A verb: its `name` on the command line, the `module` that is its file, and the type of its `request`.
 
-    `plan(request, model)` gives the planned set of a verb whose stimuli may join a larger set; `model` is None where
-    the verb opens its own. `check(request)` raises what can be found out before a verb fills a folder of its own.
-    `asked(request)` counts the stimuli that are asked for outright, so that too many are refused before planning.
-    A recipe may use the verbs that have a `plan` or a `check`.
+    A recipe may use the verbs that have a `plan(request, model)`, where `model` is None if the verb opens its own, or a
+    `check(request)`.
     """
 
     name: str
+    module: types.ModuleType
     request: type
-    run: Callable[..., Any]
-    plan: Callable[[Any, Any], Any] | None = None
-    check: Callable[[Any], None] | None = None
-    asked: Callable[[Any], int] = lambda request: 1
+
+    @property
+    def run(self) -> Callable[..., Any]:
+        """What does it: a generator of steps that gives an `Outcome`."""
+        return self.module.run
+
+    @property
+    def plan(self) -> Callable[..., Any] | None:
+        """What plans its stimuli for a larger set, or None."""
+        return getattr(self.module, "plan", None)
+
+    @property
+    def check(self) -> Callable[[Any], None] | None:
+        """What finds out before it runs whether it can fill a folder of its own, or None."""
+        return getattr(self.module, "check", None)
+
+    def asked(self, request: Any) -> int:
+        """Count the stimuli that are asked for outright, so that too many are refused before they are planned."""
+        return self.module.asked(request) if hasattr(self.module, "asked") else 1
 
     @property
     def help(self) -> str:
@@ -209,24 +242,32 @@ def settings_of(request: type) -> tuple[Field, ...]:
 
 
 @cache
-def verb_names() -> tuple[str, ...]:
-    """Give the names of all verbs, as the command line calls them, from the files of `morphspace.verbs`."""
+def _files() -> dict[str, str]:
+    """Give the file of each verb, without its suffix, by the name of the verb."""
     package = importlib.import_module(VERBS_PACKAGE)
-    return tuple(module.name.replace("_", "-") for module in pkgutil.iter_modules(package.__path__))
+    files = [module.name for module in pkgutil.iter_modules(package.__path__)]
+    return {_name_of(file): file for file in files}
+
+
+def _name_of(file: str) -> str:
+    """Give the name of a verb: words with hyphens, the first apart where it is a group's."""
+    group, _, rest = file.partition("_")
+    return f"{group} {rest.replace('_', '-')}" if rest and group in GROUPS else file.replace("_", "-")
+
+
+def verb_names() -> tuple[str, ...]:
+    """Give the names of all verbs, as the command line calls them."""
+    return tuple(_files())
 
 
 @cache
 def verb_named(name: str) -> Verb:
     """Import the file of a verb and give its `Verb`. Raises `BadInput` for a name that no verb has."""
-    if name not in verb_names():
+    if name not in _files():
         raise BadInput(f"the verb is {name!r}; expected one of {', '.join(verb_names())}")
-    file = name.replace("-", "_")
+    file = _files()[name]
     module = importlib.import_module(f"{VERBS_PACKAGE}.{file}")
-    request = getattr(module, _request_name(file), None)
-    if request is None:
-        raise BadInput(f"{file}.py declares no request; expected a class called {_request_name(file)}")
-    optional = {key: getattr(module, key) for key in ("plan", "check", "asked") if hasattr(module, key)}
-    return Verb(name, request, module.run, **optional)
+    return Verb(name, module, getattr(module, _request_name(file)))
 
 
 def _request_name(file: str) -> str:
@@ -235,8 +276,7 @@ def _request_name(file: str) -> str:
 
 def all_verbs() -> Iterator[Verb]:
     """Import the files of all verbs, and give them."""
-    for name in verb_names():
-        file = name.replace("-", "_")
+    for name, file in _files().items():
         if hasattr(importlib.import_module(f"{VERBS_PACKAGE}.{file}"), _request_name(file)):
             yield verb_named(name)
 

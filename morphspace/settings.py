@@ -27,6 +27,8 @@ from annotated_types import Ge, Gt, Le
 from morphspace.errors import BadInput
 
 NUMBER_SEPARATORS, TEXT_SEPARATORS = ",;", ";"  # between the values of a list that is written as one text
+NUMBER_PATTERN = r"[-+]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][-+]?[0-9]+)?"
+WHOLE_PATTERN = r"[-+]?[0-9]+(\.0*)?"
 LONGEST_SHOWN = 60  # characters of a refused value in a message
 
 # What a field may be annotated with, besides the limits Ge, Gt and Le of `annotated_types`.
@@ -303,7 +305,7 @@ def _converted(given: Any, kind: Any, marks: tuple[Any, ...], place: Callable[[s
     elif kind in (int, float):
         return _number(given, kind, marks)
     elif kind is Path:
-        if isinstance(given, str) and given:
+        if isinstance(given, str) and given.strip():
             return place(given)
         if isinstance(given, os.PathLike):
             return Path(given)
@@ -381,6 +383,8 @@ def _text(given: Any, marks: tuple[Any, ...], place: Callable[[str], Path]) -> s
 def _shown(given: Any) -> str:
     if isinstance(given, str) and not given.strip():
         return "empty"
+    if isinstance(given, str) and re.fullmatch(NUMBER_PATTERN, given):
+        return given
     shown = repr(given) if not isinstance(given, tuple) or len(given) != 1 else repr(given[0])
     return shown if len(shown) <= LONGEST_SHOWN else f"{shown[: LONGEST_SHOWN - 3]}..."
 
@@ -453,3 +457,63 @@ def _metavar(kind: Any, marks: tuple[Any, ...]) -> str:
         return "|".join(choice.values)
     words: dict[Any, str] = {int: "N", float: "NUMBER", Path: "PATH", bool: ""}
     return words.get(kind, "TEXT")
+
+
+# The same as JSON Schema.
+
+
+def json_schemas(kind: Any, marks: tuple[Any, ...] = ()) -> list[dict[str, Any]]:
+    """Make JSON Schemas, one of which each value of an annotated kind fits, as a recipe may write it.
+
+    Limits hold for numbers that are not written as texts.
+    """
+    kind, marks = _bare(kind, marks)
+    origin, inner = typing.get_origin(kind), typing.get_args(kind)
+    choice = _mark(marks, OneOf)
+    if _is_union(kind):
+        return [schema for member in inner for schema in json_schemas(member, marks)]
+    if origin is tuple:
+        return _list_schemas(inner, marks)
+    if origin is Literal:
+        return [{"enum": sorted({*inner, *(value.removeprefix(".") for value in inner)})}]
+    if kind is type(None):
+        spelled = _mark(marks, Spelled)
+        return [{"type": "null"}, *([] if spelled is None else [{"const": spelled.nothing}])]
+    if kind is bool:
+        return [{"type": "boolean"}, {"enum": ["true", "false"]}]
+    if kind in (int, float):
+        names = {Ge: ("minimum", "ge"), Gt: ("exclusiveMinimum", "gt"), Le: ("maximum", "le")}
+        limits = {
+            name: getattr(_mark(marks, limit), attribute)
+            for limit, (name, attribute) in names.items()
+            if _mark(marks, limit) is not None
+        }
+        number = {"type": "integer" if kind is int else "number", **limits}
+        return [number, {"type": "string", "pattern": f"^\\s*{_pattern(kind)}\\s*$"}]
+    if kind is Path:
+        return [{"type": "string", "pattern": "\\S"}]
+    if kind is str:
+        texts: list[dict[str, Any]] = [{"type": "string", "pattern": "\\S"}, {"type": "number"}]
+        return texts if choice is None else [{"enum": list(choice.values)}]
+    return [{"type": "object"}]
+
+
+def _list_schemas(inner: tuple[Any, ...], marks: tuple[Any, ...]) -> list[dict[str, Any]]:
+    each = [{"anyOf": json_schemas(one)} for one in inner if one is not Ellipsis]
+    between, one = _separators(inner, marks), rf"\s*{_pattern(inner[0])}\s*"
+    if inner[-1] is Ellipsis:
+        text = f"^{one}({between}{one})*$"
+        return [
+            *each,
+            {"type": "array", "minItems": 1, "items": each[0]},
+            {"type": "string", "pattern": text},
+        ]
+    text = f"^{one}({between}{one}){{{len(each) - 1}}}$"
+    whole = {"type": "array", "prefixItems": each, "minItems": len(each), "maxItems": len(each)}
+    return [whole, {"type": "string", "pattern": text}]
+
+
+def _pattern(kind: Any) -> str:
+    """Give the pattern of a text that stands for one value of a list."""
+    bare = _bare(kind)[0]
+    return {int: WHOLE_PATTERN, float: NUMBER_PATTERN}.get(bare, ".+")

@@ -13,7 +13,6 @@ import sys
 import threading
 from collections.abc import Callable
 from functools import wraps
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
@@ -28,9 +27,10 @@ from morphspace.cli.measure import add_measure
 from morphspace.cli.mimic import add_mimic
 from morphspace.cli.models import add_models
 from morphspace.cli.motion import add_motion
+from morphspace.cli.options import parameters_of, request_of_words
 from morphspace.cli.stimuli import add_stimuli
-from morphspace.cli.words import CROP, MODEL, OUTPUT_FOLDER, PATH, SIZE
 from morphspace.errors import BadInput, MorphspaceError
+from morphspace.requests import GROUPS, Verb, verb_named, verb_names
 
 if TYPE_CHECKING:
     from morphspace.outcome import Outcome
@@ -39,12 +39,46 @@ if TYPE_CHECKING:
 PROGRESS_AFTER_S = 2.0
 PROGRESS_EVERY_S, IN_A_LOG_EVERY_S = 0.1, 30.0  # on a terminal; in a file, where each is a line more
 INTERRUPTED = 130
+DECLARED = [
+    "caricature",
+    "demo",
+    "encode",
+    "grid",
+    "info",
+    "make-actors",
+    "place",
+    "reconstruct",
+    "render",
+    "sample",
+    "sweep",
+]
 
 
-class OneLineErrors(click.Group):
-    """A group whose usage errors are one line, like every other error."""
+class Verbs(click.Group):
+    """A group whose commands are the verbs, imported when they are asked for, and whose usage errors are one line."""
+
+    def __init__(self, *args: Any, prefix: str = "", **extra: Any) -> None:
+        super().__init__(*args, **extra)
+        self.prefix = prefix
+
+    def list_commands(self, ctx: click.Context) -> list[str]:
+        """Give the names of the verbs of this group, and of the groups inside it."""
+        names = [name.removeprefix(self.prefix) for name in verb_names() if name.startswith(self.prefix)]
+        names = [name for name in names if name in DECLARED or name in self.commands]
+        return sorted({name.partition(" ")[0] for name in names})
+
+    def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
+        """Make the command of a verb from the declaration of its request."""
+        if cmd_name in self.commands:
+            return self.commands[cmd_name]
+        if cmd_name not in self.list_commands(ctx):
+            return None
+        if not self.prefix and cmd_name in GROUPS:
+            return Verbs(cmd_name, prefix=f"{cmd_name} ", help=GROUPS[cmd_name])
+        return _command(cmd_name, verb_named(self.prefix + cmd_name))
 
     def main(self, *args: Any, **extra: Any) -> Any:
+        """Run, and exit: a wrong usage is one line."""
         extra["standalone_mode"] = False
         given = args[0] if args else extra.get("args")
         is_told = "--json" in (sys.argv[1:] if given is None else given)  # our option is not read yet
@@ -66,7 +100,7 @@ class OneLineErrors(click.Group):
 
 
 @click.group(
-    cls=OneLineErrors,
+    cls=Verbs,
     context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100},
 )
 @click.version_option(__version__, prog_name="morphspace")
@@ -83,6 +117,53 @@ def _tidy_up_when_asked_to_stop() -> None:
         for number in (signal.SIGTERM, getattr(signal, "SIGHUP", signal.SIGTERM)):
             if signal.getsignal(number) == signal.SIG_DFL:
                 signal.signal(number, signal.default_int_handler)
+
+
+def _command(name: str, verb: Verb) -> click.Command:
+    """Make the command of a verb: its own parameters, and those that all verbs share."""
+    shared = [
+        click.Option(["--quiet"], is_flag=True, help="Print nothing but errors."),
+        click.Option(["--json", "as_json"], is_flag=True, help="Print the outcome as JSON, for machines."),
+        click.Option(["--debug"], is_flag=True, help="Show a traceback when something fails."),
+    ]
+
+    def callback(quiet: bool, as_json: bool, debug: bool, **words: Any) -> int:
+        return _run(verb, words, quiet, as_json, debug)
+
+    params = [*parameters_of(verb.request), *shared]
+    return click.Command(name, params=params, callback=callback, help=verb.help)
+
+
+def _run(verb: Verb, words: dict[str, Any], quiet: bool, as_json: bool, debug: bool) -> int:
+    """Run the verb with the words that were given, show its outcome, and give the exit code."""
+    _tidy_up_when_asked_to_stop()
+    try:
+        request = request_of_words(verb.request, words)
+        outcome = _driven(verb.run(request), quiet or as_json)
+    except KeyboardInterrupt:
+        if debug:
+            raise
+        _fail(
+            "stopped; every file there is whole. The same command goes on where it can",
+            INTERRUPTED,
+            "Interrupted" if as_json else None,
+        )
+    except MorphspaceError as error:
+        if debug:
+            raise
+        _fail(str(error), 2 if isinstance(error, BadInput) else 1, type(error).__name__ if as_json else None)
+    except click.UsageError:
+        raise
+    except Exception as error:
+        if debug:
+            raise
+        _fail(
+            f"a fault of morphspace ({type(error).__name__}: {error}); run again with --debug and report it",
+            1,
+            "Fault" if as_json else None,
+        )
+    _show(outcome, quiet, as_json)
+    return outcome.exit_code
 
 
 def verb(command: Callable[..., Steps[Outcome]]) -> Callable[..., None]:
@@ -179,10 +260,6 @@ def _fail(message: str, code: int, kind: str | None = None) -> None:
     sys.exit(code)
 
 
-SOURCES = click.argument("clip", nargs=-1, required=True)
-CROPPED = click.option("--crop", type=CROP, help="Cut this box out of every frame first, px.")
-
-
 @main.command("build-model")
 @build_model_options
 @verb
@@ -191,43 +268,6 @@ def build_model(clip: tuple[str, ...], **options: Any) -> Steps[Outcome]:
     from morphspace.verbs import build_model as verb_module
 
     return verb_module.run(verb_module.BuildModelRequest(sources=clip, **options))
-
-
-@main.command("info")
-@MODEL
-@verb
-def info(model: Path) -> Steps[Outcome]:
-    """Tell what MODEL is, where it came from, and whether its file is whole."""
-    from morphspace.verbs import info as verb_module
-
-    return verb_module.run(verb_module.InfoRequest(model))
-
-
-@main.command("encode")
-@MODEL
-@SOURCES
-@click.option("-o", "--output", type=PATH, required=True, help="The loadings table (.csv).")
-@CROPPED
-@verb
-def encode(model: Path, clip: tuple[str, ...], **options: Any) -> Steps[Outcome]:
-    """Take the images of CLIP apart into a table of loadings on MODEL, in SD."""
-    from morphspace.verbs import encode as verb_module
-
-    return verb_module.run(verb_module.EncodeRequest(model=model, sources=clip, **options))
-
-
-@main.command("reconstruct")
-@MODEL
-@SOURCES
-@OUTPUT_FOLDER
-@click.option("-k", "--components", type=int, help="At most so many components, the first [default: all].")
-@CROPPED
-@verb
-def reconstruct(model: Path, clip: tuple[str, ...], **options: Any) -> Steps[Outcome]:
-    """Put every image of CLIP together again from its loadings, beside the original, with figures."""
-    from morphspace.verbs import reconstruct as verb_module
-
-    return verb_module.run(verb_module.ReconstructRequest(model=model, sources=clip, **options))
 
 
 @main.command("flow")
@@ -251,74 +291,3 @@ for add in (
     add_stimuli,
 ):
     add(main, verb)
-
-
-@main.command("make-actors")
-@OUTPUT_FOLDER
-@click.option(
-    "--identities", type=click.IntRange(0, 1000), default=4, show_default=True, help="How many drawn people."
-)
-@click.option(
-    "--portraits",
-    type=click.IntRange(0, 1000),
-    default=0,
-    show_default=True,
-    help="How many animated photographs, besides.",
-)
-@click.option(
-    "--frames", type=click.IntRange(1, 100_000), default=60, show_default=True, help="Frames of each clip."
-)
-@click.option(
-    "--seed",
-    type=click.IntRange(0),
-    default=1,
-    show_default=True,
-    help="The same seed draws the same people.",
-)
-@click.option("--size", type=SIZE, default="200x240", show_default=True, help="Size of the frames, px.")
-@click.option(
-    "--head-motion",
-    "head_motion_px",
-    type=click.FloatRange(0, 100),
-    default=0.0,
-    show_default=True,
-    help="Rigid head movement, px.",
-)
-@click.option(
-    "--light-change",
-    type=click.FloatRange(0, 1),
-    default=0.0,
-    show_default=True,
-    help="Change of light over the clip, share.",
-)
-@click.option(
-    "--noise",
-    "noise_sd",
-    type=click.FloatRange(0, 1),
-    default=0.0,
-    show_default=True,
-    help="Sensor noise, sd in colour (0 to 1).",
-)
-@verb
-def make_actors(**options: Any) -> Steps[Outcome]:
-    """Draw actors with exact truth: clip folders, and the truth beside them."""
-    from morphspace.verbs import make_actors as verb_module
-
-    return verb_module.run(verb_module.MakeActorsRequest(**options))
-
-
-@main.command("demo")
-@click.option(
-    "-o",
-    "--output",
-    type=PATH,
-    default="morphspace-demo",
-    show_default=True,
-    help="The folder to write into.",
-)
-@verb
-def demo(output: Path) -> Steps[Outcome]:
-    """Draw actors, build their models, render, and write a page to open: the whole path in a minute."""
-    from morphspace.verbs import demo as verb_module
-
-    return verb_module.run(verb_module.DemoRequest(output))

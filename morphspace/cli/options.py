@@ -7,7 +7,7 @@ from typing import Any
 
 import click
 
-from morphspace.requests import field_named, fields_of
+from morphspace.requests import Verb, field_named, fields_of
 from morphspace.settings import Field, WrongSetting
 
 REPEATED = -1  # the `nargs` of click for any number of values
@@ -21,6 +21,16 @@ def parameters_of(request: type) -> list[click.Parameter]:
     fields = [field for field in fields_of(request) if field.spoken]
     arguments = [_argument(field) for field in fields if field.argument is not None]
     return [*arguments, *(_option(field) for field in fields if field.argument is None)]
+
+
+def usage_of(verb: Verb) -> str:
+    """Give the line that calls a verb: its arguments, and the options it cannot do without."""
+    fields = fields_of(verb.request)
+    needed = [
+        f"{field.flags[0]} {field.metavar}" for field in fields if field.required and not field.argument
+    ]
+    words = [field.spoken for field in fields if field.argument is not None]
+    return " ".join(["morphspace", verb.name, *words, *needed])
 
 
 def request_of_words(request: type, words: Mapping[str, Any]) -> Any:

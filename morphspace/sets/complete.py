@@ -15,8 +15,9 @@ from morphspace.io.tables import write_loadings_table, write_metrics_table
 from morphspace.outcome import RECORD_NAME, Outcome, versions, write_record_of
 from morphspace.report.frames import small
 from morphspace.report.set_page import CLIPPED_PERCENT, FOLDED_PERCENT, StimulusSet, places_shown, set_page
+from morphspace.requests import VIDEO_SUFFIXES
 from morphspace.sets.manifest import Column, write_manifest
-from morphspace.stimuli.drawing import PICTURE_SUFFIXES, VIDEO_SUFFIXES, Drawing
+from morphspace.stimuli.drawing import PICTURE_SUFFIXES, Drawing
 from morphspace.stimuli.image_statistics import FIGURES, SPACES
 from morphspace.storage import digest_of_file, write_text
 

@@ -19,12 +19,12 @@ from morphspace.io.placeholders import filled
 from morphspace.io.recipes import Job, Recipe
 from morphspace.model.model import MorphModel, load_model
 from morphspace.outcome import versions
-from morphspace.requests import Verb, verb_named
+from morphspace.requests import Verb, request_from, verb_named
 from morphspace.sets.folders import FolderJob
 from morphspace.sets.manifest import FIRST_COLUMNS, LAST_COLUMNS, Column
 from morphspace.sets.planned import PlannedSet, check_kept_model, check_names, request_document
-from morphspace.sets.recipe_settings import request_of
 from morphspace.sets.sources import file_names
+from morphspace.settings import WrongSetting
 from morphspace.steps import Step, Steps
 from morphspace.stimuli.drawing import Drawing, check_name
 from morphspace.storage import digest_of_file, digest_of_json
@@ -178,8 +178,13 @@ def _requests(job: Job, verb: Verb, recipe: Recipe, output: Path) -> tuple[Any, 
     def telling(words: str) -> Path:
         return Path("".join(_named(words, recipe)))
 
-    request = request_of(job, verb.request, output, opening, verb.files)
-    return request, request_document(request_of(job, verb.request, output, telling, verb.files))
+    try:
+        request = request_from(verb.request, job.settings, opening, output=output)
+        told = request_from(verb.request, job.settings, telling, output=output)
+    except WrongSetting as error:
+        where = job.lines.get(error.name, job.told)
+        raise BadInput(f"{where}: {error.called(f'{error.name} of {job.verb}')}") from error
+    return request, request_document(told)
 
 
 def _named(words: str, recipe: Recipe) -> tuple[str, str]:
@@ -195,8 +200,8 @@ def _named(words: str, recipe: Recipe) -> tuple[str, str]:
 def _set_of(job: Job, verb: Verb, recipe: Recipe, folder: Path, book: _Book) -> Steps[PlannedSet]:
     request, told = _requests(job, verb, recipe, folder)
     _check_count(book.drawings + verb.asked(request), book.most, "stimuli")
-    plan: Any = verb.plan
-    planned: PlannedSet = yield from plan(request, book.model(getattr(request, "model", None)))
+    assert verb.plan is not None
+    planned: PlannedSet = yield from verb.plan(request, book.model(getattr(request, "model", None)))
     book.drawings += len(planned.drawings)
     columns = dict(planned.columns)
     drawings, names = [], {}

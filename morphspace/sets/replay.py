@@ -23,10 +23,11 @@ from morphspace.io.images import read_image, read_mask
 from morphspace.io.stimulus_sidecars import essentials, essentials_in, read_stimulus_sidecar, sidecar_text
 from morphspace.model.model import MorphModel, load_model
 from morphspace.outcome import versions
+from morphspace.requests import VIDEO_SUFFIXES
 from morphspace.sets.draw import DECIDING, Drawn, draw_file, made_from_of, originals_of, quality_of
 from morphspace.sets.manifest import MANIFEST_NAME
 from morphspace.steps import Step, Steps, single_threads, worker_count
-from morphspace.stimuli.drawing import PICTURE_SUFFIXES, VIDEO_SUFFIXES, Drawing, drawing_of
+from morphspace.stimuli.drawing import PICTURE_SUFFIXES, Drawing, drawing_of
 from morphspace.storage import digest_of_file, digest_of_json, whole_file
 
 FOLDERS_UP = 2  # from the sidecar, where a model may lie: a set inside a batch inside a project

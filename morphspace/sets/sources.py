@@ -17,7 +17,7 @@ from morphspace.model.model import MorphModel
 from morphspace.sets.kept import digest_of_kept, encoded_clip
 from morphspace.sets.planned import KEPT_STEMS
 from morphspace.steps import Steps
-from morphspace.stimuli.drawing import UNFIT, VIDEO_SUFFIXES
+from morphspace.stimuli.drawing import UNFIT
 from morphspace.stimuli.table_checks import check_table
 
 FRAME_RATE_HZ = 25.0  # where neither the request, the table nor the model tells it
@@ -41,8 +41,6 @@ class Faces:
         """Give the stimuli: each row by itself, or all rows as one motion where a `video` suffix is given."""
         if video is None:
             return [(name, slice(row, row + 1)) for row, name in enumerate(file_names(self.names))]
-        if video not in VIDEO_SUFFIXES:
-            raise BadInput(f"a video cannot be written as {video!r}: use one of {', '.join(VIDEO_SUFFIXES)}")
         return [(motion_name(self.name), slice(None))]
 
 

@@ -16,10 +16,10 @@ import numpy as np
 
 from morphspace.arrays import AnyArray, LoadingTable, Mask
 from morphspace.errors import BadInput
+from morphspace.requests import VIDEO_SUFFIXES
 
 FURTHEST_SD = 1000.0  # beyond it a table holds a mistake, and colours leave what numbers can hold
 PICTURE_SUFFIXES = (".png",)
-VIDEO_SUFFIXES = (".mp4", ".mkv")
 LONGEST_PART_BYTES = 200  # of a name's part; file systems take 255, and an unfinished file has a longer name
 UNFIT = re.compile(r'[\x00-\x1f\x7f\\:*?"<>|]')  # in a name: what one of the usual file systems refuses
 RESERVED = re.compile(r"(con|prn|aux|nul|com[0-9]|lpt[0-9])(\..*)?", re.IGNORECASE)  # names Windows keeps

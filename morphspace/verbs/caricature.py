@@ -3,63 +3,101 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Annotated, Any
 
-import numpy as np
-
-from morphspace.arrays import LoadingTable, Mask
 from morphspace.errors import BadInput
-from morphspace.face.regions import WHOLE
-from morphspace.io.images import read_mask
-from morphspace.model.keypoints import region_of
-from morphspace.model.model import MorphModel, load_model
-from morphspace.outcome import Outcome
-from morphspace.requests import ClipText
-from morphspace.sets.planned import PlannedSet, plan_of, write_set
-from morphspace.sets.sources import Faces, faces_of
-from morphspace.steps import Steps
-from morphspace.stimuli.caricature import caricatured, components_named
-from morphspace.stimuli.drawing import VIDEO_SUFFIXES, Drawing
-from morphspace.storage import digest_of_file
+from morphspace.requests import (
+    ClipText,
+    Folder,
+    FrameCrop,
+    FrameRate,
+    Frames,
+    Model,
+    VideoOrPictures,
+    declared,
+)
+from morphspace.settings import Help, Option
+
+if TYPE_CHECKING:
+    from morphspace.arrays import LoadingTable, Mask
+    from morphspace.model.model import MorphModel
+    from morphspace.outcome import Outcome
+    from morphspace.sets.planned import PlannedSet
+    from morphspace.sets.sources import Faces
+    from morphspace.steps import Steps
+    from morphspace.stimuli.drawing import Drawing
 
 PICTURE_SUFFIXES = (".png", ".tif", ".tiff", ".jpg", ".jpeg", ".exr", ".bmp")  # of a region that was painted
 
 
-@dataclass(frozen=True)
+@declared
 class CaricatureRequest:
-    """Draw the faces of `loadings` (a table) or `clip` with `model` at each of `gains`, into the folder `output`.
+    """Draw faces of MODEL's person further from the mean face, nearer to it, and on its other side.
 
-    `warp_gains` and `texture_gains` replace `gains` for the warp and the texture; lists are crossed. `components`
-    ("1-5,8") are the ones that are changed, None for all; `region` a part of the face by name, several joined by "+",
-    or a grey picture. `frames` names the rows to draw, none for all. `video` is .mp4 or .mkv where the faces are a
-    motion to be shown at `frame_rate_hz`, None for pictures.
+    A gain of 1 is veridical, above 1 a caricature, between 0 and 1 an anti-caricature, below 0 an anti-face.
     """
 
-    model: Path
-    output: Path
-    loadings: Path | None = None
-    clip: tuple[ClipText, ...] = ()
-    gains: tuple[float, ...] = (0.5, 1.0, 1.5, -1.0)
-    warp_gains: tuple[float, ...] | None = None
-    texture_gains: tuple[float, ...] | None = None
-    components: str | None = None
-    region: str | None = None
-    frames: tuple[str, ...] = ()
-    video: str | None = None
-    frame_rate_hz: float | None = None
-    crop: tuple[int, int, int, int] | None = None
+    model: Model
+    output: Folder
+    loadings: Annotated[
+        Path | None, Option(metavar="TABLE.csv"), Help("The faces: rows of a table of loadings.")
+    ] = None
+    clip: Annotated[
+        tuple[ClipText, ...],
+        Option(metavar="CLIP"),
+        Help("The faces: a folder, a quoted glob, images (give --clip for each) or a video of the person."),
+    ] = ()
+    gains: Annotated[tuple[float, ...], Option("--gain", metavar="G,G,..."), Help("Gains, one set each.")] = (
+        0.5,
+        1.0,
+        1.5,
+        -1.0,
+    )
+    warp_gains: Annotated[
+        tuple[float, ...] | None,
+        Option("--warp-gain", metavar="G,G,..."),
+        Help("Gains of the warp alone [default: --gain]."),
+    ] = None
+    texture_gains: Annotated[
+        tuple[float, ...] | None,
+        Option("--texture-gain", metavar="G,G,..."),
+        Help("Gains of the texture alone [default: --gain]."),
+    ] = None
+    components: Annotated[
+        str | None,
+        Option(metavar="1-5,8"),
+        Help("Only these components, from 1; the others stay [default: all]."),
+    ] = None
+    region: Annotated[
+        str | None,
+        Option(metavar="NAME|FILE"),
+        Help(
+            "Only this part of the face: eyes, brows, mouth, nose, upper, lower, several joined by +, or a grey "
+            "picture of the model's size, white where the face changes."
+        ),
+    ] = None
+    frames: Frames = ()
+    video: VideoOrPictures = None
+    frame_rate_hz: FrameRate = None
+    crop: FrameCrop = None
 
 
 def run(request: CaricatureRequest) -> Steps[Outcome]:
     """Write the set of stimuli. Returns an `Outcome`."""
+    from morphspace.sets.planned import write_set
+
     planned = yield from plan(request)
     return (yield from write_set(planned, request.output))
 
 
 def plan(request: CaricatureRequest, model: MorphModel | None = None) -> Steps[PlannedSet]:
     """Read and check everything, draw nothing; `model` where it is open already. Returns a `PlannedSet`."""
+    from morphspace.model.model import load_model
+    from morphspace.sets.planned import plan_of
+    from morphspace.sets.sources import faces_of
+    from morphspace.stimuli.caricature import components_named
+
     model = model or load_model(request.model)
     for gains, what in (
         (request.gains, "gain"),
@@ -83,10 +121,8 @@ def plan(request: CaricatureRequest, model: MorphModel | None = None) -> Steps[P
 
 
 def check_gains(gains: tuple[float, ...] | None, what: str) -> None:
-    """Raise `BadInput` where a gain is not a number, or one is given twice."""
+    """Raise `BadInput` where a gain is given twice."""
     for gain in gains or ():
-        if not np.isfinite(gain):
-            raise BadInput(f"a {what} of {gain} cannot be used: give a number, 1 for the faces as they are")
         if (gains or ()).count(gain) > 1:
             raise BadInput(f"the {what} {gain:g} was given twice: give each once")
 
@@ -109,6 +145,10 @@ def _drawing(
     components: tuple[int, ...] | None,
     mask: Mask | None,
 ) -> Drawing:
+    from morphspace.face.regions import WHOLE
+    from morphspace.stimuli.caricature import caricatured
+    from morphspace.stimuli.drawing import Drawing
+
     veridical: LoadingTable = faces.loadings_sd[rows]
     shape = caricatured(veridical, gains.get("gain", gains.get("warp_gain", 1.0)), components)
     colour = None if "gain" in gains else caricatured(veridical, gains["texture_gain"], components)
@@ -136,6 +176,10 @@ def _drawing(
 
 def _region(region: str | None, model: MorphModel) -> tuple[Mask | None, dict[str, str]]:
     """Give the mask that was painted, None where the region is a named one; refuse what cannot be one."""
+    from morphspace.io.images import read_mask
+    from morphspace.model.keypoints import region_of
+    from morphspace.storage import digest_of_file
+
     if region is None:
         return None, {}
     path = Path(region)
@@ -149,6 +193,3 @@ def _region(region: str | None, model: MorphModel) -> tuple[Mask | None, dict[st
             f"{model.size[0]}x{model.size[1]}: paint it on a rendered mean face"
         )
     return mask, {"region": digest_of_file(path)}
-
-
-__all__ = ["VIDEO_SUFFIXES", "CaricatureRequest", "plan", "run"]

@@ -7,21 +7,19 @@ model's faces are taken apart, put together again, exaggerated, swept and drawn 
 from __future__ import annotations
 
 import html
-from dataclasses import dataclass
+from collections.abc import Iterator
 from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
 
-import numpy as np
+from morphspace.requests import declared
+from morphspace.settings import Help, Option
+from morphspace.verbs.sweep import along
 
-from morphspace.io.clips import open_clip
-from morphspace.io.images import write_image
-from morphspace.io.video import write_video
-from morphspace.model.model import MorphModel, load_model
-from morphspace.outcome import Outcome
-from morphspace.steps import Step, Steps
-from morphspace.storage import make_folder, write_text
-from morphspace.verbs import build_model, make_actors
-from morphspace.verbs.render import rendered
-from morphspace.verbs.sweep import component_faces
+if TYPE_CHECKING:
+    from morphspace.arrays import Image, LoadingTable
+    from morphspace.model.model import MorphModel
+    from morphspace.outcome import Outcome
+    from morphspace.steps import Steps
 
 SEED = 1
 IDENTITIES, PORTRAITS, FRAMES = 2, 1, 30
@@ -33,15 +31,22 @@ RANDOM_FACES = 8
 CARICATURE_GAIN = 1.6
 
 
-@dataclass(frozen=True)
+@declared
 class DemoRequest:
-    """Write the demo into the folder `output`."""
+    """Draw actors, build their models, render, and write a page to open: the whole path in a minute."""
 
-    output: Path
+    output: Annotated[Path, Option("-o", "--output"), Help("The folder to write into.")] = Path(
+        "morphspace-demo"
+    )
 
 
 def run(request: DemoRequest) -> Steps[Outcome]:
     """Draw, build, render, and write index.html. Returns an `Outcome`."""
+    from morphspace.model.model import load_model
+    from morphspace.outcome import Outcome
+    from morphspace.storage import make_folder, write_text
+    from morphspace.verbs import build_model, make_actors
+
     make_folder(request.output)
     actors = request.output / "actors"
     drawn = yield from make_actors.run(
@@ -70,18 +75,29 @@ def run(request: DemoRequest) -> Steps[Outcome]:
 
 def _pictures(model: MorphModel, clip_folder: Path, folder: Path) -> Steps[None]:
     """Write the strips and the videos of one model."""
+    import numpy as np
+
+    from morphspace.io.clips import open_clip
+    from morphspace.io.images import write_image
+    from morphspace.io.video import write_video
+    from morphspace.steps import Step, in_order
+    from morphspace.storage import make_folder
+
+    def rendered(rows: LoadingTable) -> Iterator[Image]:
+        return in_order(model.render, rows)
+
     make_folder(folder)
     loadings = model.training.values
     shown = [int(i) for i in np.linspace(0, len(loadings) - 1, SHOWN_FRAMES).round()]
     clip = open_clip([clip_folder])
     strips = {
         "frames": list(clip.images(shown)),
-        "reconstructed": list(rendered(model, loadings[shown])),
-        "caricature": list(rendered(model, CARICATURE_GAIN * loadings[shown])),
-        "random": list(rendered(model, model.sample(np.random.default_rng(SEED), RANDOM_FACES).values)),
+        "reconstructed": list(rendered(loadings[shown])),
+        "caricature": list(rendered(CARICATURE_GAIN * loadings[shown])),
+        "random": list(rendered(model.sample(np.random.default_rng(SEED), RANDOM_FACES).values)),
     }
     for component in range(min(SWEPT, model.rank)):
-        strips[f"pc{component + 1}"] = component_faces(model, component, np.array(SWEPT_SD))
+        strips[f"pc{component + 1}"] = list(rendered(along(model, component, np.array(SWEPT_SD)) * model.sd))
     total = len(strips) + 2
     for count, (name, faces) in enumerate(strips.items(), 1):
         write_image(folder / f"{name}.png", np.concatenate(faces, axis=1))
@@ -90,9 +106,7 @@ def _pictures(model: MorphModel, clip_folder: Path, folder: Path) -> Steps[None]
     for count, (name, gain) in enumerate(
         (("veridical", 1.0), ("caricature", CARICATURE_GAIN)), len(strips) + 1
     ):
-        write_video(
-            folder / f"{name}.mp4", rendered(model, gain * loadings), frame_rate_hz=rate, encoding="people"
-        )
+        write_video(folder / f"{name}.mp4", rendered(gain * loadings), frame_rate_hz=rate, encoding="people")
         yield Step("pictures", count, total)
 
 

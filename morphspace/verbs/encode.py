@@ -2,41 +2,49 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from pathlib import Path
-
-import numpy as np
+from typing import TYPE_CHECKING, Annotated
 
 from morphspace.errors import BadInput
-from morphspace.io.sidecars import read_json_object
-from morphspace.io.tables import LOADINGS_FORMAT, write_loadings_table
-from morphspace.model.encode import (
-    drawn_by,
-    encoded_frames,
-    framed_for,
-    joined,
-    notes_on_enlarging,
-    notes_on_own,
-)
-from morphspace.model.model import Loadings, MorphModel, load_model
-from morphspace.outcome import Outcome, versions
-from morphspace.sets.protect import check_file
-from morphspace.steps import Step, Steps
-from morphspace.storage import digest_of_file, make_folder
+from morphspace.requests import Clip, FrameCrop, Model, declared
+from morphspace.settings import Help, Option
+
+if TYPE_CHECKING:
+    from morphspace.model.model import Loadings, MorphModel
+    from morphspace.outcome import Outcome
+    from morphspace.steps import Steps
 
 
-@dataclass(frozen=True)
+@declared
 class EncodeRequest:
-    """Encode the images of `sources` with `model` into the table `output` (.csv), cropped by `crop` px if given."""
+    """Take the images of CLIP apart into a table of loadings on MODEL, in SD."""
 
-    model: Path
-    sources: tuple[str, ...]
-    output: Path
-    crop: tuple[int, int, int, int] | None = None
+    model: Model
+    sources: Clip
+    output: Annotated[Path, Option("-o", "--output"), Help("The loadings table (.csv).")]
+    crop: FrameCrop = None
 
 
 def run(request: EncodeRequest) -> Steps[Outcome]:
     """Encode and write the table and its sidecar. Returns an `Outcome`."""
+    import numpy as np
+
+    from morphspace.io.sidecars import read_json_object
+    from morphspace.io.tables import LOADINGS_FORMAT
+    from morphspace.model.encode import (
+        drawn_by,
+        encoded_frames,
+        framed_for,
+        joined,
+        notes_on_enlarging,
+        notes_on_own,
+    )
+    from morphspace.model.model import load_model
+    from morphspace.outcome import Outcome
+    from morphspace.sets.protect import check_file
+    from morphspace.steps import Step
+    from morphspace.storage import make_folder
+
     model = load_model(request.model)
     source = framed_for(model, request.sources, request.crop)
     sidecar = request.output.with_suffix(".json")
@@ -72,6 +80,10 @@ def write_loadings(
     output: Path, loadings: Loadings, model: MorphModel, model_path: Path, inputs: dict[str, str]
 ) -> tuple[Path, Path]:
     """Write loadings as a table in SD with a sidecar that names the model and the inputs."""
+    from morphspace.io.tables import write_loadings_table
+    from morphspace.outcome import versions
+    from morphspace.storage import digest_of_file
+
     document = {
         "model_id": model.model_id,
         "model_sha256": digest_of_file(model_path),

@@ -3,33 +3,43 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
-from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
 
-import numpy as np
+from annotated_types import Ge, Gt, Le
 
 from morphspace.errors import BadInput
-from morphspace.model.model import MorphModel, load_model
-from morphspace.outcome import Outcome
-from morphspace.sets.planned import PlannedSet, plan_of, write_set
-from morphspace.steps import Steps
-from morphspace.stimuli.drawing import Drawing
-from morphspace.verbs.sweep import amount_words, check_amount
+from morphspace.requests import Folder, Model, declared
+from morphspace.settings import Help, Option
+from morphspace.verbs.sweep import amount_words
+
+if TYPE_CHECKING:
+    from morphspace.model.model import MorphModel
+    from morphspace.outcome import Outcome
+    from morphspace.sets.planned import PlannedSet
+    from morphspace.steps import Steps
+
+Component = Annotated[int, Ge(1), Le(10_000)]
+Amount = Annotated[float, Gt(0), Le(100)]
+Count = Annotated[int, Ge(2), Le(1000)]
 
 
-@dataclass(frozen=True)
+@declared
 class GridRequest:
-    """Cross two `components` (from 1) of `model`, each from -`amount_sd` to +`amount_sd` in `steps`, into `output`."""
+    """Draw faces of MODEL over two components, crossed."""
 
-    model: Path
-    output: Path
-    components: tuple[int, int] = (1, 2)
-    amount_sd: tuple[float, float] = (3.0, 3.0)
-    steps: tuple[int, int] = (5, 5)
+    model: Model
+    output: Folder
+    components: Annotated[tuple[Component, Component], Help("The two components, from 1.")] = (1, 2)
+    amount_sd: Annotated[
+        tuple[Amount, Amount], Option("-n", "--amount-sd"), Help("How far either way along each, SD.")
+    ] = (3.0, 3.0)
+    steps: Annotated[tuple[Count, Count], Help("Faces along each.")] = (5, 5)
 
 
 def run(request: GridRequest) -> Steps[Outcome]:
     """Write the set of stimuli. Returns an `Outcome`."""
+    from morphspace.sets.planned import write_set
+
     planned = yield from plan(request)
     return (yield from write_set(planned, request.output))
 
@@ -41,18 +51,18 @@ def asked(request: GridRequest) -> int:
 
 def plan(request: GridRequest, model: MorphModel | None = None) -> Steps[PlannedSet]:
     """Check everything, draw nothing; `model` where it is open already. Returns a `PlannedSet`."""
+    import numpy as np
+
+    from morphspace.model.model import load_model
+    from morphspace.sets.planned import plan_of
+    from morphspace.stimuli.drawing import Drawing
+
     yield from ()
     model = model or load_model(request.model)
     first, second = request.components
     if first == second or not all(1 <= component <= model.rank for component in request.components):
         raise BadInput(
             f"a grid over components {first} and {second} cannot be drawn: give two different ones of 1 to {model.rank}"
-        )
-    for amount in request.amount_sd:
-        check_amount(amount)
-    if min(request.steps) < 2:
-        raise BadInput(
-            f"a grid of {request.steps[0]} by {request.steps[1]} steps: ask for at least 2 along each"
         )
     rows, columns = (
         np.linspace(-amount, amount, steps).tolist()

@@ -3,31 +3,31 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
-from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from morphspace.model.file import check_content
-from morphspace.model.keypoints import point_names
-from morphspace.model.landmarks import told_errors
-from morphspace.model.model import MorphModel, load_model, points_document
-from morphspace.outcome import Outcome
-from morphspace.steps import Step, Steps
+from morphspace.requests import Model, declared
+
+if TYPE_CHECKING:
+    from morphspace.model.model import MorphModel
+    from morphspace.outcome import Outcome
+    from morphspace.steps import Steps
 
 SHOWN = 10  # components listed one by one
 _FACEFRAMES = {"mean": "that is the mean of all", "source": "of whose expression it is"}
 
 
-@dataclass(frozen=True)
+@declared
 class InfoRequest:
-    """Tell about the model in the file `model`."""
+    """Tell what MODEL is, where it came from, and whether its file is whole."""
 
-    model: Path
+    model: Model
 
 
 def _faceframe_words(model: MorphModel) -> str:
     if model.faceframe is None:
         return "not marked: `morphspace keypoints MODEL --auto` marks it, or --set or --from"
+    from morphspace.model.keypoints import point_names
+
     points = ", ".join(
         f"{name} {x:.1f},{y:.1f}"
         for name, (x, y) in zip(point_names(model), model.faceframe.points.tolist(), strict=True)
@@ -66,6 +66,12 @@ def _blend_of(model: MorphModel) -> Mapping[str, Any] | None:
 
 def run(request: InfoRequest) -> Steps[Outcome]:
     """Read the model, check its digest, and give an `Outcome` with its description."""
+    from morphspace.model.file import check_content
+    from morphspace.model.landmarks import told_errors
+    from morphspace.model.model import load_model, points_document
+    from morphspace.outcome import Outcome
+    from morphspace.steps import Step
+
     model = load_model(request.model)
     yield Step("check", 0, 1)
     check_content(request.model)

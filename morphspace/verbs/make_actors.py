@@ -2,38 +2,48 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
 
-from morphspace import synthetic
+from annotated_types import Ge, Le
+
 from morphspace.errors import BadInput
-from morphspace.outcome import Outcome, write_record
-from morphspace.steps import Step, Steps
-from morphspace.storage import make_folder
+from morphspace.requests import Folder, Size, declared, request_document
+from morphspace.settings import Help, Option
+
+if TYPE_CHECKING:
+    from morphspace.outcome import Outcome
+    from morphspace.steps import Steps
 
 LEAST_SIDE_PX, MOST_SIDE_PX = 48, 1024  # larger ones take minutes to paint
 
 
-@dataclass(frozen=True)
+@declared
 class MakeActorsRequest:
-    """Draw `identities` actors and `portraits` animated photographs of `frames` frames each into `output`.
+    """Draw actors with exact truth: clip folders, and the truth beside them."""
 
-    `size` (w, h) px; `head_motion_px`, `light_change`, `noise_sd` as in `synthetic.capture_sequence`.
-    """
-
-    output: Path
-    identities: int = 4
-    portraits: int = 0
-    frames: int = 60
-    seed: int = 1
-    size: tuple[int, int] = (200, 240)
-    head_motion_px: float = 0.0
-    light_change: float = 0.0
-    noise_sd: float = 0.0
+    output: Folder
+    identities: Annotated[int, Ge(0), Le(1000), Help("How many drawn people.")] = 4
+    portraits: Annotated[int, Ge(0), Le(1000), Help("How many animated photographs, besides.")] = 0
+    frames: Annotated[int, Ge(1), Le(100_000), Help("Frames of each clip.")] = 60
+    seed: Annotated[int, Ge(0), Help("The same seed draws the same people.")] = 1
+    size: Annotated[Size, Help("Size of the frames, px.")] = (200, 240)
+    head_motion_px: Annotated[
+        float, Ge(0), Le(100), Option("--head-motion"), Help("Rigid head movement, px.")
+    ] = 0.0
+    light_change: Annotated[float, Ge(0), Le(1), Help("Change of light over the clip, share.")] = 0.0
+    noise_sd: Annotated[
+        float, Ge(0), Le(1), Option("--noise"), Help("Sensor noise, sd in colour (0 to 1).")
+    ] = 0.0
 
 
 def run(request: MakeActorsRequest) -> Steps[Outcome]:
     """Write the clip folders and truth/. Returns an `Outcome`."""
+    from morphspace import synthetic
+    from morphspace.outcome import Outcome, write_record
+    from morphspace.steps import Step
+    from morphspace.storage import make_folder
+
     width, height = request.size
     if not (min(width, height) >= LEAST_SIDE_PX and max(width, height) <= MOST_SIDE_PX):
         raise BadInput(
@@ -60,7 +70,7 @@ def run(request: MakeActorsRequest) -> Steps[Outcome]:
         if piece.truth is not None:
             written += [piece.truth, piece.path.with_name("clip.json")]
         yield Step("draw", count, total)
-    settings = {name: value for name, value in vars(request).items() if name != "output"}
+    settings = request_document(request)
     record = write_record(request.output, "make-actors", settings, {}, written)
     lines = (
         f"{request.output}: {len(names)} actors of {request.frames} frames ({', '.join(names)}), truth in truth/",

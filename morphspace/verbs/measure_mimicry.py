@@ -40,10 +40,10 @@ from morphspace.model.model import MorphModel, load_model
 from morphspace.outcome import RECORD_NAME, Outcome, versions, write_record
 from morphspace.report.imitation_page import MeasuredImitation, imitation_page
 from morphspace.sets.protect import VIDEO_NAME, check_file, check_ours, no_empty_folders
-from morphspace.steps import Step, Steps
+from morphspace.sets.sources import FRAME_RATE_HZ
+from morphspace.steps import Step, Steps, in_order
 from morphspace.stimuli.table_checks import check_reach
 from morphspace.storage import digest_of_file, make_folder, write_text
-from morphspace.verbs.render import FRAME_RATE_HZ, rendered
 
 VERB = "measure-mimicry"
 WORK_FOLDER = (
@@ -278,8 +278,8 @@ def _drawn(
     sd = model.sd[:k]
     yield Step("video", 0, n)
     rows: list[tuple[str, Iterator[Image]]] = [
-        ("stimulus as the model draws it", rendered(model, a_sd[:n] * sd)),
-        ("imitation in the same space", rendered(model, b_sd[:n] * sd)),
+        ("stimulus as the model draws it", in_order(model.render, a_sd[:n] * sd)),
+        ("imitation in the same space", in_order(model.render, b_sd[:n] * sd)),
     ]
     if stimulus.clip is not None:
         rows.insert(0, ("stimulus", stimulus.clip.images(stimulus.places[:n].tolist())))

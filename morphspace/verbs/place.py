@@ -2,68 +2,78 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Annotated, Any
 
-import numpy as np
+from morphspace.requests import (
+    Clip,
+    Folder,
+    FrameCrop,
+    FrameRate,
+    Frames,
+    Model,
+    VideoOrPictures,
+    declared,
+)
+from morphspace.settings import Help, Option
 
-from morphspace.arrays import AnyArray
-from morphspace.avatar.build import told_together
-from morphspace.grid import warp
-from morphspace.io.clips import Clip
-from morphspace.io.framing import FramedClip
-from morphspace.io.stimulus_sidecars import ORIGINAL_IDENTITY
-from morphspace.io.tables import read_loadings_table
-from morphspace.model.encode import framed_for, notes_on_enlarging
-from morphspace.model.model import MorphModel, load_model
-from morphspace.outcome import Outcome
-from morphspace.requests import ClipText
-from morphspace.sets.kept import digest_of_kept, encoded_clip
-from morphspace.sets.manifest import Column
-from morphspace.sets.planned import PlannedSet, plan_of, write_set
-from morphspace.sets.sources import FRAME_RATE_HZ, Faces, check_frames, check_rate, notes_on_identity
-from morphspace.steps import Step, Steps, in_order
-from morphspace.stimuli.caricature import caricatured
-from morphspace.stimuli.drawing import Drawing, Placing
-from morphspace.stimuli.table_checks import check_reach, check_table
+if TYPE_CHECKING:
+    from morphspace.arrays import AnyArray
+    from morphspace.io.clips import Clip as OpenClip
+    from morphspace.io.framing import FramedClip
+    from morphspace.model.model import MorphModel
+    from morphspace.outcome import Outcome
+    from morphspace.sets.planned import PlannedSet
+    from morphspace.steps import Steps
 
 RIGHTS = ("consent", "licence")
-COLUMNS: Mapping[str, Column] = {
-    ORIGINAL_IDENTITY: Column("Whose pictures the faces were put back into, as the clip says")
-}
 
 
-@dataclass(frozen=True)
+@declared
 class PlaceRequest:
-    """Put faces of `model` back into the frames of `clip`, inside the model's feathered mask, into `output`.
+    """Put faces of MODEL back into the frames of CLIP: hair, background and size of the picture stay."""
 
-    The faces are those of the frames themselves, or the rows of `loadings` that are called like the frames; all times
-    `gain`. `frames` names the ones to draw, none for all; `video` is .mp4 or .mkv for one motion at `frame_rate_hz`.
-    """
-
-    model: Path
-    clip: tuple[ClipText, ...]
-    output: Path
-    loadings: Path | None = None
-    gain: float = 1.0
-    frames: tuple[str, ...] = ()
-    video: str | None = None
-    frame_rate_hz: float | None = None
-    crop: tuple[int, int, int, int] | None = None
+    model: Model
+    clip: Clip
+    output: Folder
+    loadings: Annotated[
+        Path | None,
+        Option(metavar="TABLE.csv"),
+        Help("Faces to put there, rows named after the frames [default: the frames' own]."),
+    ] = None
+    gain: Annotated[float, Help("Multiply all loadings.")] = 1.0
+    frames: Frames = ()
+    video: VideoOrPictures = None
+    frame_rate_hz: FrameRate = None
+    crop: FrameCrop = None
 
 
 def run(request: PlaceRequest) -> Steps[Outcome]:
     """Write the set of stimuli. Returns an `Outcome`."""
+    from morphspace.sets.planned import write_set
+
     planned = yield from plan(request)
     return (yield from write_set(planned, request.output))
 
 
 def plan(request: PlaceRequest, model: MorphModel | None = None) -> Steps[PlannedSet]:
     """Read, align and check everything, draw nothing; `model` where it is open already. Returns a `PlannedSet`."""
+    import numpy as np
+
+    from morphspace.io.stimulus_sidecars import ORIGINAL_IDENTITY
+    from morphspace.io.tables import read_loadings_table
+    from morphspace.model.encode import framed_for, notes_on_enlarging
+    from morphspace.model.model import load_model
+    from morphspace.sets.kept import digest_of_kept, encoded_clip
+    from morphspace.sets.manifest import Column
+    from morphspace.sets.planned import plan_of
+    from morphspace.sets.sources import FRAME_RATE_HZ, Faces, check_frames, notes_on_identity
+    from morphspace.stimuli.caricature import caricatured
+    from morphspace.stimuli.drawing import Drawing, Placing
+    from morphspace.stimuli.table_checks import check_reach, check_table
+
     model = model or load_model(request.model)
-    check_rate(request.frame_rate_hz)
     source = framed_for(model, request.clip, request.crop)
     inputs, notes = {}, notes_on_enlarging(source.framing, model.identity)
     if request.loadings is None:
@@ -105,16 +115,19 @@ def plan(request: PlaceRequest, model: MorphModel | None = None) -> Steps[Planne
         for name, rows in faces.stimuli(request.video)
     ]
     rights = _rights(model, source.clip)
+    columns = {ORIGINAL_IDENTITY: Column("Whose pictures the faces were put back into, as the clip says")}
     return plan_of(
-        request, "place", model, drawings, inputs=inputs, notes=notes, columns=COLUMNS, rights=rights
+        request, "place", model, drawings, inputs=inputs, notes=notes, columns=columns, rights=rights
     )
 
 
-def _rights(model: MorphModel, clip: Clip) -> dict[str, Any]:
+def _rights(model: MorphModel, clip: OpenClip) -> dict[str, Any]:
     """Give consent and licence of what a stimulus shows: the face is the model's, the rest of the picture the clip's.
 
     Where they differ each says whose it is; the clip's are named as the clip where it shows the same person.
     """
+    from morphspace.avatar.build import told_together
+
     told = clip.sidecar.identity
     other = told if told not in (None, model.identity) else f"the clip {clip.name}"
     labels = (model.identity, str(other))
@@ -129,6 +142,8 @@ def _rights(model: MorphModel, clip: Clip) -> dict[str, Any]:
 
 def _chosen(source: FramedClip, frames: tuple[str, ...]) -> FramedClip:
     """Give the clip of these frames, in its own order. Raises `BadInput` where one is not there."""
+    from morphspace.sets.sources import check_frames
+
     check_frames(frames, source.names, source.clip.name)
     wanted = set(frames)
     places = [place for place, name in enumerate(source.names) if name in wanted]
@@ -137,6 +152,11 @@ def _chosen(source: FramedClip, frames: tuple[str, ...]) -> FramedClip:
 
 def _aligned(model: MorphModel, source: FramedClip) -> Steps[AnyArray]:
     """Give where the faces are in their frames, (n, 2, 3), without reading their expressions."""
+    import numpy as np
+
+    from morphspace.grid import warp
+    from morphspace.steps import Step, in_order
+
     registrations: list[AnyArray] = []
     indices = list(range(len(source.names)))
     items = zip(source.names, source.images(indices), strict=True)

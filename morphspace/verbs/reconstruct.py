@@ -2,42 +2,55 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
 
-import numpy as np
+from annotated_types import Ge
 
-from morphspace.grid import warp
-from morphspace.io.images import picture_names, write_image
-from morphspace.io.tables import write_metrics_table
-from morphspace.linear.quality import psnr_db, rms_px, ssim
-from morphspace.model.encode import (
-    encoded_frames,
-    first_components,
-    framed_for,
-    joined,
-    notes_on_enlarging,
-)
-from morphspace.model.model import load_model
-from morphspace.outcome import Outcome, write_record
-from morphspace.steps import Step, Steps
-from morphspace.storage import digest_of_file, make_folder
+from morphspace.requests import Clip, Folder, FrameCrop, Model, declared
+from morphspace.settings import Help, Option
 from morphspace.verbs.encode import write_loadings
 
+if TYPE_CHECKING:
+    from morphspace.outcome import Outcome
+    from morphspace.steps import Steps
 
-@dataclass(frozen=True)
+
+@declared
 class ReconstructRequest:
-    """Reconstruct the images of `sources` with `model` into the folder `output`, from `components` (None for all)."""
+    """Put every image of CLIP together again from its loadings, beside the original, with figures."""
 
-    model: Path
-    sources: tuple[str, ...]
-    output: Path
-    components: int | None = None
-    crop: tuple[int, int, int, int] | None = None
+    model: Model
+    sources: Clip
+    output: Folder
+    components: Annotated[
+        int | None,
+        Ge(1),
+        Option("-k", "--components"),
+        Help("At most so many components, the first [default: all]."),
+    ] = None
+    crop: FrameCrop = None
 
 
 def run(request: ReconstructRequest) -> Steps[Outcome]:
     """Write aligned/, reconstructed/, placed/, metrics.csv and loadings.csv. Returns an `Outcome`."""
+    import numpy as np
+
+    from morphspace.grid import warp
+    from morphspace.io.images import picture_names, write_image
+    from morphspace.io.tables import write_metrics_table
+    from morphspace.linear.quality import psnr_db, rms_px, ssim
+    from morphspace.model.encode import (
+        encoded_frames,
+        first_components,
+        framed_for,
+        joined,
+        notes_on_enlarging,
+    )
+    from morphspace.model.model import load_model
+    from morphspace.outcome import Outcome, write_record
+    from morphspace.steps import Step
+    from morphspace.storage import digest_of_file, make_folder
+
     whole = load_model(request.model)
     model, notes = first_components(whole, request.components)
     source = framed_for(model, request.sources, request.crop)

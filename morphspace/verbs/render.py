@@ -2,68 +2,68 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import dataclass
+import dataclasses
 from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
 
-from morphspace.arrays import Image, LoadingTable
 from morphspace.errors import BadInput
-from morphspace.io.images import picture_names
-from morphspace.model.model import MorphModel, load_model
-from morphspace.outcome import RECORD_NAME, Outcome, write_record
-from morphspace.report.set_page import CLIPPED_PERCENT
-from morphspace.sets.draw import make_stimulus
-from morphspace.sets.planned import PlannedSet, check_replaced, plan_of, write_set
-from morphspace.sets.sources import FRAME_RATE_HZ, faces_of
-from morphspace.steps import Step, Steps, in_order, worker_count
-from morphspace.stimuli.caricature import caricatured
-from morphspace.stimuli.drawing import VIDEO_SUFFIXES, Drawing
-from morphspace.stimuli.table_checks import check_reach
-from morphspace.storage import make_folder
+from morphspace.requests import VIDEO_SUFFIXES, FrameRate, Model, VideoSuffix, declared
+from morphspace.settings import Argument, Help, NotAnOption, Option
 
-__all__ = ["FRAME_RATE_HZ", "RenderRequest", "plan", "rendered", "run"]
+if TYPE_CHECKING:
+    from morphspace.model.model import MorphModel
+    from morphspace.outcome import Outcome
+    from morphspace.sets.planned import PlannedSet
+    from morphspace.steps import Steps
 
 
-@dataclass(frozen=True)
+@declared
 class RenderRequest:
-    """Render the rows of `table` with `model` into `output`: a folder of PNGs, or a video by its suffix.
+    """Draw the faces of a TABLE of loadings with MODEL."""
 
-    .mkv is lossless, .mp4 for people. `gain` multiplies all loadings: 1 veridical, above 1 a caricature. `video` is
-    the suffix of a video in a folder of a set, as a batch makes it.
-    """
-
-    model: Path
-    table: Path
-    output: Path
-    gain: float = 1.0
-    frame_rate_hz: float | None = None
-    video: str | None = None
+    model: Model
+    table: Annotated[Path, Argument("TABLE"), Help("The loadings (.csv).")]
+    output: Annotated[
+        Path,
+        Option("-o", "--output"),
+        Help("A folder of images, or a video: .mkv lossless, .mp4 for people."),
+    ]
+    gain: Annotated[float, Help("Multiply all loadings: above 1 caricatures.")] = 1.0
+    frame_rate_hz: FrameRate = None
+    video: Annotated[
+        VideoSuffix | None, NotAnOption(), Help("Draw one video, not images, as a stimulus of a set.")
+    ] = None
 
 
 def run(request: RenderRequest) -> Steps[Outcome]:
     """Render and write. Returns an `Outcome`."""
-    suffix = request.output.suffix.lower()
-    is_video = suffix in VIDEO_SUFFIXES
-    if request.output.suffix and not is_video and not request.output.is_dir():
+    from morphspace.sets.planned import write_set
+
+    video = next((one for one in VIDEO_SUFFIXES if one == request.output.suffix.lower()), None)
+    if request.output.suffix and video is None and not request.output.is_dir():
         raise BadInput(
             f"{request.output} ends in {request.output.suffix}: give a folder for images, or a video in "
             f"{' or '.join(VIDEO_SUFFIXES)}"
         )
-    if not is_video:
+    if video is None:
         planned = yield from plan(request)
         return (yield from write_set(planned, request.output))
     if request.output.is_dir():
         raise BadInput(f"{request.output} is a folder: give the name of a video, or a folder without suffix")
-    planned = yield from plan(
-        RenderRequest(
-            request.model, request.table, request.output, request.gain, request.frame_rate_hz, suffix
-        )
-    )
+    planned = yield from plan(dataclasses.replace(request, video=video))
     return (yield from _lone_video(planned, request.output))
 
 
 def plan(request: RenderRequest, model: MorphModel | None = None) -> Steps[PlannedSet]:
     """Read and check everything, draw nothing; `model` where it is open already. Returns a `PlannedSet`."""
+    from morphspace.io.images import picture_names
+    from morphspace.model.model import load_model
+    from morphspace.sets.planned import plan_of
+    from morphspace.sets.sources import faces_of
+    from morphspace.stimuli.caricature import caricatured
+    from morphspace.stimuli.drawing import Drawing
+    from morphspace.stimuli.table_checks import check_reach
+
     model = model or load_model(request.model)
     faces = yield from faces_of(model, request.table, frame_rate_hz=request.frame_rate_hz)
     loadings_sd = caricatured(faces.loadings_sd, request.gain)
@@ -95,6 +95,13 @@ def plan(request: RenderRequest, model: MorphModel | None = None) -> Steps[Plann
 
 def _lone_video(planned: PlannedSet, output: Path) -> Steps[Outcome]:
     """Write the one video of a set under a name of its own, with its sidecar and record beside it."""
+    from morphspace.outcome import RECORD_NAME, Outcome, write_record
+    from morphspace.report.set_page import CLIPPED_PERCENT
+    from morphspace.sets.draw import make_stimulus
+    from morphspace.sets.planned import check_replaced
+    from morphspace.steps import Step, worker_count
+    from morphspace.storage import make_folder
+
     make_folder(output.parent)
     (drawing,) = planned.drawings
     sidecar = output.with_name(f"{output.name}.json")
@@ -115,8 +122,3 @@ def _lone_video(planned: PlannedSet, output: Path) -> Steps[Outcome]:
     lines = (f"{output}: {row['frames']} frames at {drawing.frame_rate_hz:g} Hz",)
     document = {"output": str(output), "frames": row["frames"], "clipped_percent": row["clipped_percent"]}
     return Outcome(lines, document, notes, (*written, record))
-
-
-def rendered(model: MorphModel, loadings: LoadingTable) -> Iterator[Image]:
-    """Render each row of loadings (n, k), in order, a few at a time."""
-    yield from in_order(model.render, loadings)

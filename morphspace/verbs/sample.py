@@ -2,37 +2,41 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
 
-import numpy as np
+from annotated_types import Ge, Gt, Le
 
-from morphspace.errors import BadInput
-from morphspace.model.model import MorphModel, load_model
-from morphspace.outcome import Outcome
-from morphspace.sets.planned import PlannedSet, plan_of, write_set
-from morphspace.steps import Steps
-from morphspace.stimuli.drawing import Drawing
-from morphspace.stimuli.sampling import drawn_sd
+from morphspace.requests import Folder, Model, declared
+from morphspace.settings import Help, Option
+
+if TYPE_CHECKING:
+    from morphspace.model.model import MorphModel
+    from morphspace.outcome import Outcome
+    from morphspace.sets.planned import PlannedSet
+    from morphspace.steps import Steps
 
 
-@dataclass(frozen=True)
+@declared
 class SampleRequest:
-    """Draw `count` faces with `model` into the folder `output`; `seed` fixes them, `spread` scales the distribution.
+    """Draw faces at random from MODEL."""
 
-    What lies further than `max_sd` along a component is drawn again, None keeps all.
-    """
-
-    model: Path
-    output: Path
-    count: int = 16
-    seed: int = 0
-    spread: float = 1.0
-    max_sd: float | None = None
+    model: Model
+    output: Folder
+    count: Annotated[int, Ge(1), Le(100_000), Option("-n", "--count"), Help("How many faces.")] = 16
+    seed: Annotated[int, Ge(0), Help("The same seed gives the same faces.")] = 0
+    spread: Annotated[float, Ge(0), Le(100), Help("Scale of the distribution; 1 is the model's own.")] = 1.0
+    max_sd: Annotated[
+        float | None,
+        Gt(0),
+        Le(1000),
+        Help("Draw again what lies further than so many SD along a component [default: keep all]."),
+    ] = None
 
 
 def run(request: SampleRequest) -> Steps[Outcome]:
     """Write the set of stimuli. Returns an `Outcome`."""
+    from morphspace.sets.planned import write_set
+
     planned = yield from plan(request)
     return (yield from write_set(planned, request.output))
 
@@ -44,18 +48,15 @@ def asked(request: SampleRequest) -> int:
 
 def plan(request: SampleRequest, model: MorphModel | None = None) -> Steps[PlannedSet]:
     """Draw the numbers, not the pictures; `model` where it is open already. Returns a `PlannedSet`."""
+    import numpy as np
+
+    from morphspace.model.model import load_model
+    from morphspace.sets.planned import plan_of
+    from morphspace.stimuli.drawing import Drawing
+    from morphspace.stimuli.sampling import drawn_sd
+
     yield from ()
     model = model or load_model(request.model)
-    if request.count < 1:
-        raise BadInput(f"{request.count} faces were asked for: ask for at least 1")
-    if not (np.isfinite(request.spread) and request.spread >= 0):
-        raise BadInput(
-            f"a spread of {request.spread} cannot be used: give a number of at least 0, 1 for the model's own"
-        )
-    if request.seed < 0:
-        raise BadInput(f"a seed of {request.seed} cannot be used: give a whole number of at least 0")
-    if request.max_sd is not None and np.isnan(request.max_sd):
-        raise BadInput("--max-sd nan is no number: give how many SD a loading may have, such as 3")
     rng = np.random.default_rng(request.seed)
     loadings_sd, again = drawn_sd(
         rng, request.count, model.rank, spread=request.spread, max_sd=request.max_sd

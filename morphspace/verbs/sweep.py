@@ -3,49 +3,58 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
-from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
 
-import numpy as np
+from annotated_types import Ge, Gt, Le
 
-from morphspace.arrays import AnyArray, Image, LoadingTable
 from morphspace.errors import BadInput
-from morphspace.model.model import MorphModel, load_model
-from morphspace.outcome import Outcome
-from morphspace.sets.planned import PlannedSet, plan_of, write_set
-from morphspace.steps import Steps
-from morphspace.stimuli.drawing import Drawing
+from morphspace.requests import Folder, Model, declared
+from morphspace.settings import Help, Option
+
+if TYPE_CHECKING:
+    from morphspace.arrays import AnyArray, LoadingTable
+    from morphspace.model.model import MorphModel
+    from morphspace.outcome import Outcome
+    from morphspace.sets.planned import PlannedSet
+    from morphspace.steps import Steps
+    from morphspace.stimuli.drawing import Drawing
 
 VIDEO_FRAMES = 50  # there and back again, so that it loops
 FRAME_RATE_HZ = 25.0
 
 
-@dataclass(frozen=True)
+@declared
 class SweepRequest:
-    """Sweep the first `components` of `model` from -`amount_sd` to +`amount_sd` in `steps`, into `output`."""
+    """Show what each component of MODEL does, as pictures and videos."""
 
-    model: Path
-    output: Path
-    components: int = 10
-    amount_sd: float = 3.0
-    steps: int = 7
+    model: Model
+    output: Folder
+    components: Annotated[
+        int, Ge(1), Le(10_000), Option("-k", "--components"), Help("How many components, from the first.")
+    ] = 10
+    amount_sd: Annotated[
+        float, Gt(0), Le(100), Option("-n", "--amount-sd"), Help("From minus to plus so many SD.")
+    ] = 3.0
+    steps: Annotated[int, Ge(2), Le(1000), Help("Pictures a component.")] = 7
 
 
 def run(request: SweepRequest) -> Steps[Outcome]:
     """Write the set of stimuli: pictures pcNNN_AMOUNTsd and a video pcNNN a component. Returns an `Outcome`."""
+    from morphspace.sets.planned import write_set
+
     planned = yield from plan(request)
     return (yield from write_set(planned, request.output))
 
 
 def plan(request: SweepRequest, model: MorphModel | None = None) -> Steps[PlannedSet]:
     """Check everything, draw nothing; `model` where it is open already. Returns a `PlannedSet`."""
+    import numpy as np
+
+    from morphspace.model.model import load_model
+    from morphspace.sets.planned import plan_of
+
     yield from ()
     model = model or load_model(request.model)
-    if request.components < 1 or request.steps < 2:
-        raise BadInput(
-            f"{request.components} components in {request.steps} steps: ask for at least 1 in 2 steps"
-        )
-    check_amount(request.amount_sd)
     if model.rank == 0:
         raise BadInput(f"{model.identity} has rank 0, nothing to sweep: build it from frames that differ")
     amounts_sd = np.linspace(-request.amount_sd, request.amount_sd, request.steps)
@@ -63,15 +72,13 @@ def plan(request: SweepRequest, model: MorphModel | None = None) -> Steps[Planne
     return plan_of(request, "sweep", model, drawings, notes=notes)
 
 
-def check_amount(amount_sd: float) -> None:
-    """Raise `BadInput` for an amount that leads nowhere."""
-    if not (np.isfinite(amount_sd) and amount_sd > 0):
-        raise BadInput(f"an amount of {amount_sd} SD cannot be swept: give a number above 0")
-
-
 def _of_component(
     model: MorphModel, component: int, amounts_sd: AnyArray, furthest_sd: float
 ) -> Iterator[Drawing]:
+    import numpy as np
+
+    from morphspace.stimuli.drawing import Drawing
+
     name = f"pc{component + 1:03d}"
     for amount in amounts_sd.tolist():
         told = {"component": component + 1, "amount_sd": amount}
@@ -91,11 +98,8 @@ def amount_words(amount_sd: float) -> str:
 
 def along(model: MorphModel, component: int, amounts_sd: AnyArray) -> LoadingTable:
     """Give the loadings (n, k) SD at these amounts along one component, all others at 0."""
+    import numpy as np
+
     table = np.zeros((len(amounts_sd), model.rank))
     table[:, component] = amounts_sd
     return table
-
-
-def component_faces(model: MorphModel, component: int, amounts_sd: AnyArray) -> list[Image]:
-    """Give the faces (h, w, 3) at these amounts (SD) along one component, all others at 0."""
-    return [model.render(row * model.sd) for row in along(model, component, amounts_sd)]

@@ -15,13 +15,14 @@ from morphspace.io.sidecars import read_json_object
 from morphspace.io.tables import LOADINGS_FORMAT, read_loadings_table, write_loadings_table
 from morphspace.model.model import MorphModel, load_model
 from morphspace.outcome import Outcome, versions
+from morphspace.requests import VIDEO_SUFFIXES
 from morphspace.sets.kept import digest_of_kept
 from morphspace.sets.manifest import Column
 from morphspace.sets.planned import KEPT_STEMS, PlannedSet, plan_of, request_document, write_set
 from morphspace.sets.protect import check_file
 from morphspace.sets.sources import FRAME_RATE_HZ, file_names, motion_name
 from morphspace.steps import Step, Steps
-from morphspace.stimuli.drawing import VIDEO_SUFFIXES, Drawing
+from morphspace.stimuli.drawing import Drawing
 from morphspace.stimuli.motion_words import GUIDED
 from morphspace.stimuli.operations import Motion, Operation, operations_of, worked
 from morphspace.stimuli.table_checks import check_table

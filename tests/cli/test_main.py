@@ -24,6 +24,8 @@ from morphspace.face.faceframe import FaceFrame
 from morphspace.io.images import read_image, write_image
 from morphspace.io.tables import read_loadings_table, read_metrics_table
 from morphspace.model.model import load_model
+from morphspace.requests import all_verbs, fields_of, verb_names
+from morphspace.settings import WrongSetting, converted
 from morphspace.synthetic import make_actors
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -92,7 +94,7 @@ def test_help_of_every_verb_imports_nothing_heavy():
     code = (
         "import sys\n"
         "from morphspace.cli.main import main\n"
-        "for words in [['--help'], *[[name, '--help'] for name in main.commands]]:\n"
+        "for words in [['--help'], *[[name, '--help'] for name in main.list_commands(None)]]:\n"
         "    try:\n        main(words)\n"
         "    except SystemExit as end:\n        assert end.code == 0, words\n"
         f"print('HEAVY', sorted({HEAVY!r} & set(sys.modules)))\n"
@@ -101,17 +103,15 @@ def test_help_of_every_verb_imports_nothing_heavy():
     assert "HEAVY []" in done.stdout
 
 
-def test_every_verb_has_help_a_request_and_a_line_in_the_readme():
-    readme = (ROOT / "README.md").read_text(encoding="utf-8")
-    for name, command in main.commands.items():
-        assert command.help
-        assert f"`{name}" in readme
-        if isinstance(command, click.Group):
-            assert all(f"`{name} {word}" in readme and verb.help for word, verb in command.commands.items())
+def test_every_verb_has_help_and_its_settings_too():
+    context = click.Context(main)
+    names = [name.partition(" ")[0] for name in verb_names()]
+    assert set(main.list_commands(context)) <= set(names)
+    for verb in all_verbs():
+        if verb.name in (*main.commands, "fetch-models"):
             continue
-        module = __import__(f"morphspace.verbs.{name.replace('-', '_')}", fromlist=["run"])
-        request = "".join(part.capitalize() for part in name.split("-")) + "Request"
-        assert hasattr(module, request) and hasattr(module, "run")
+        assert verb.help and all(field.help for field in fields_of(verb.request)), verb.name
+        assert not verb.help.startswith(f"{verb.request.__name__}("), verb.name  # the dataclass' own
 
 
 def test_the_whole_path_on_a_drawn_clip(actor: Path, model: Path, tmp_path: Path):
@@ -291,7 +291,7 @@ def test_info_notices_a_changed_number(model: Path, tmp_path: Path):
         (["info", "nowhere.morph"], ["nowhere.morph"]),
         (["encode", "MODEL", "nowhere", "-o", "OUT/a.csv"], ["nowhere"]),
         (["render", "MODEL", "nowhere.csv", "-o", "OUT/images"], ["nowhere.csv"]),
-        (["reconstruct", "MODEL", "CLIP", "-o", "OUT/back", "-k", "0"], ["0 components"]),
+        (["reconstruct", "MODEL", "CLIP", "-o", "OUT/back", "-k", "0"], ["--components is 0", "from 1 up"]),
         (["sample", "MODEL", "-o", "OUT/s", "-n", "0"], ["--count", "0"]),
         (["sample", "MODEL", "-o", "OUT/s", "--seed", "-1"], ["-1"]),
         (["sweep", "MODEL", "-o", "OUT/s", "--steps", "1"], ["--steps", "1"]),
@@ -481,16 +481,11 @@ def test_a_fault_of_ours_is_json_too(monkeypatch):
 
 def test_an_empty_path_is_never_the_current_folder(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    paths = [
-        (name, param)
-        for name, command in main.commands.items()
-        for param in command.params
-        if isinstance(param.type, click.Path)
-    ]
+    paths = [field for verb in all_verbs() for field in fields_of(verb.request) if "a path" in field.words]
     assert len(paths) > 30
-    for name, param in paths:
-        with pytest.raises(click.BadParameter, match="it is empty"):
-            param.type.convert("", param, click.Context(main.commands[name]))
+    for field in paths:
+        with pytest.raises(WrongSetting, match="is empty; expected a path"):
+            converted(field, "")
     result = CliRunner().invoke(main, ["demo", "-o", ""])
-    assert result.exit_code == 2 and "it is empty" in result.output
+    assert result.exit_code == 2 and "--output is empty" in result.output
     assert not any(tmp_path.iterdir())

@@ -23,7 +23,6 @@ from morphspace.io.tables import read_loadings_table, read_metrics_table, write_
 from morphspace.model.model import Loadings
 from morphspace.sets import batch, pool
 from morphspace.sets.draw import make_stimulus
-from morphspace.sets.recipe_settings import WrongKind, converted
 from morphspace.steps import result_of
 from morphspace.verbs import batch as verb
 from morphspace.verbs.batch import BatchRequest
@@ -253,7 +252,7 @@ def test_without_a_name_stimuli_are_named_by_their_levels(lab, tmp_path):
             '    clip: "{identity.loadings}"\n    loadings: ann.csv\n',
             ("line 10",),
         ),
-        ('    model: "{identity}"\n', "", ("line 10", "needs model")),
+        ('    model: "{identity}"\n', "", ("line 10", "model of caricature is missing")),
         ("    gains:", "    frames: f9\n    gains:", ("line 10", "f9", "f0")),
         ("    gains:", "    frames: true\n    gains:", ("line 13", "frames", "True")),
     ],
@@ -276,7 +275,9 @@ def test_a_million_stimuli_are_asked_for_before_anything_is_opened(lab, tmp_path
     refused(recipe(lab, text), tmp_path / "out", "1,000,000", "--yes")
     refused(recipe(lab, CROSSED), tmp_path / "out", "more than 20", "--yes", most=20)
     alone = HEAD + "stimuli: [{verb: sample, model: ann.morph, count: 1000000000}]"
-    refused(recipe(lab, alone), tmp_path / "out", "line 3", "--yes")
+    refused(recipe(lab, alone), tmp_path / "out", "line 3", "from 1 to 100,000")
+    alone = HEAD + "stimuli: [{verb: grid, model: ann.morph, steps: [1000, 1000]}]"
+    refused(recipe(lab, alone), tmp_path / "out", "line 3", "--yes", most=999_999)
     assert made(recipe(lab, CROSSED), tmp_path / "out", most=24, workers=1).document["stimuli"] == 24
 
 
@@ -327,43 +328,6 @@ def test_a_model_that_is_built_anew_during_the_batch_is_noticed(lab, tmp_path, m
     model_like(model, "ann", model.mean.texture, "f" * 16).save(lab / "changing.morph")
     with pytest.raises(BadInput, match=r"changing\.morph was model"):
         result_of(batch.write_batch(planned))
-
-
-# kinds of settings
-
-
-@pytest.mark.parametrize(
-    ("kind", "given", "expected"),
-    [
-        (float, "0.5", 0.5),
-        (int, 3.0, 3),
-        (float | None, None, None),
-        (float | None, "none", None),
-        (tuple[float, ...], 0.5, (0.5,)),
-        (tuple[float, ...], "0.5,1;-1", (0.5, 1.0, -1.0)),
-        (tuple[str, ...], "a,b;c", ("a,b", "c")),
-        (tuple[int, int], [3, 4], (3, 4)),
-        (str | None, 5, "5"),
-        (bool, "true", True),
-        (Path | None, "a.csv", Path("/x/a.csv")),
-    ],
-)
-def test_words_become_the_kind_the_request_wants(kind, given, expected):
-    found = converted(given, kind, lambda words: Path("/x") / words)
-    assert found == expected and type(found) is type(expected)
-
-
-@pytest.mark.parametrize(
-    ("kind", "given"),
-    [
-        (float, "x"), (float, True), (float, float("inf")), (float, "1_0"), (int, 1.5), (int, [1]), (str, ["a"]),
-        (str, ""), (bool, 1), (tuple[int, int], [1, 2, 3]), (tuple[float, ...], "1,,2"),
-        (tuple[float, ...], {"a": 1}), (Path, 3), (float, None),
-    ],
-)  # fmt: skip
-def test_words_of_another_kind_are_refused(kind, given):
-    with pytest.raises(WrongKind):
-        converted(given, kind, Path)
 
 
 # the command line

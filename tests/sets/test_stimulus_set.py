@@ -1,6 +1,7 @@
 """Laws of stimulus sets: same request, same bytes; what is done is kept; sidecars, manifest, page and files agree."""
 
 import csv
+import importlib
 import json
 from dataclasses import replace
 from pathlib import Path
@@ -177,7 +178,7 @@ def test_what_is_done_is_kept_and_what_is_not_is_made(folder, pictures, tmp_path
     (output / f"{names[2]}.png").write_bytes(b"cut short")
     (output / f"{names[3]}.json").write_text('{"format": "morphspace-stimulus", "version": 1}')
     drawn = []
-    draw = caricature.write_set.__globals__["make_stimulus"].__globals__["draw_file"]
+    draw = importlib.import_module("morphspace.sets.draw").draw_file
     monkeypatch.setattr(
         "morphspace.sets.draw.draw_file",
         lambda model, drawing, *rest: drawn.append(drawing.name) or draw(model, drawing, *rest),

@@ -9,7 +9,6 @@ import pytest
 from morphspace.errors import BadInput
 from morphspace.face.faceframe import FaceFrame
 from morphspace.sets.complete import notes_on
-from morphspace.steps import result_of
 from morphspace.stimuli.caricature import caricatured, components_named
 from morphspace.stimuli.drawing import Drawing, Placing, check_name, drawing_of
 from morphspace.stimuli.drawn import draw, mask_of, morph_at
@@ -189,6 +188,5 @@ def test_what_is_advised_is_something_the_verb_has(verb, clipped, folded):
 
 
 def test_a_bound_that_is_no_number_is_refused(model, tmp_path):
-    request = sample.SampleRequest(tmp_path / "a.morph", tmp_path, max_sd=float("nan"))
-    with pytest.raises(BadInput, match="nan is no number"):
-        result_of(sample.plan(request, model))
+    with pytest.raises(BadInput, match="max_sd is nan; expected a number above 0"):
+        sample.SampleRequest(tmp_path / "a.morph", tmp_path, max_sd=float("nan"))

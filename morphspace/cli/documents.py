@@ -1,0 +1,156 @@
+"""Documents that are made from the declarations of the verbs: the page of all settings, and the schema of a recipe.
+
+`python -m morphspace.cli.documents verbs > docs/verbs.md` writes the page again; `... recipe-schema` prints the JSON
+Schema of a recipe, for an editor that checks YAML against one.
+"""
+
+from __future__ import annotations
+
+import inspect
+import json
+import sys
+from typing import Any
+
+from morphspace.cli.options import usage_of
+from morphspace.io.recipes import OWN_KEYS, RECIPE_FORMAT, RECIPE_VERSION, REQUIRED
+from morphspace.requests import NOTHING, Verb, all_verbs, fields_of, recipe_verbs, settings_of
+from morphspace.settings import Field, json_schemas
+
+HEAD = """# Verbs
+
+Every verb of morphspace with its settings. In Python they are the fields of a request of `morphspace.verbs.NAME`, whose
+`run` does what it asks for. A [recipe](../data_spec/recipe.md) has them as keys of an entry, for the verbs marked with
+an asterisk. Python, the command line and recipes take and refuse the same values. `morphspace VERB --help` says the
+same. Every verb also takes `--quiet`, `--json` and `--debug`.
+
+This page is made from the declarations: `python -m morphspace.cli.documents verbs > docs/verbs.md`.
+"""
+Schema = dict[str, Any]
+
+
+def verbs_page() -> str:
+    """Write the page of all verbs and their settings, in Markdown."""
+    verbs = list(all_verbs())
+    starred = recipe_verbs()
+    rows = [
+        f"| [{verb.name}](#{verb.name}){'*' if verb.name in starred else ''} | {_first_line(verb)} |"
+        for verb in verbs
+    ]
+    table = "\n".join(["| verb | what it does |", "|---|---|", *rows])
+    return "\n".join([HEAD, table, "", *map(_section, verbs)])
+
+
+def _first_line(verb: Verb) -> str:
+    return inspect.cleandoc(verb.help).splitlines()[0]
+
+
+def _section(verb: Verb) -> str:
+    """Write what a verb does, how it is called, and the table of its settings."""
+    text = inspect.cleandoc(verb.help)
+    if "\b\n" in text:  # click's mark of a block that keeps its lines
+        before, block = text.split("\b\n")
+        text = f"{before}```text\n{block}\n```"
+    rows = [_row(field) for field in fields_of(verb.request)]
+    table = ["| setting | on the command line | value | default | meaning |", "|---|---|---|---|---|", *rows]
+    return "\n".join([f"## {verb.name}", "", text, "", f"    {usage_of(verb)}", "", *table, ""])
+
+
+def _row(field: Field) -> str:
+    default = "required" if field.required else f"`{field.default_words}`" if field.default_words else ""
+    spoken = f"`{', '.join(field.flags) if field.argument is None else field.spoken}`" if field.spoken else ""
+    cells = [f"`{field.name}`", spoken, field.words, default, field.help]
+    return "| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |"
+
+
+def recipe_schema() -> Schema:
+    """Make the JSON Schema of a recipe (of its YAML as JSON) from the requests of the verbs a recipe may use.
+
+    A number outside its limits, or a list with too few values, is refused by the schema only where it is not written as
+    a text.
+    """
+    verbs = recipe_verbs()
+    entries = {f"entry_{name}": _entry(verb) for name, verb in verbs.items()}
+    chosen = [
+        {
+            "if": {"properties": {"verb": {"const": name}}},
+            "then": {"$ref": f"#/$defs/entry_{name}"},
+        }
+        for name in verbs
+    ]
+    level = {"anyOf": [{"type": "number"}, {"type": "string", "minLength": 1}]}
+    brought = [
+        {"type": ["number", "string", "boolean", "null", "array"]},
+        {"type": "object", "propertyNames": {"$ref": "#/$defs/word"}},
+    ]
+    factor = [
+        {"type": "array", "minItems": 1, "items": level},
+        {"type": "object", "minProperties": 1, "additionalProperties": {"anyOf": brought}},
+    ]
+    words = {"type": ["object", "null"], "propertyNames": {"$ref": "#/$defs/word"}}
+    path = {"type": "string", "minLength": 1, "pattern": "^[^{]*$"}
+    return {
+        "$schema": "https://json-schema.org/draft/2020-12/schema",
+        "title": f"morphspace recipe, version {RECIPE_VERSION} (as YAML)",
+        "type": "object",
+        "required": list(REQUIRED),
+        "additionalProperties": False,
+        "properties": {
+            "format": {"const": RECIPE_FORMAT},
+            "version": {"const": RECIPE_VERSION},
+            "description": {"type": "string"},
+            "sources": {**words, "additionalProperties": path},
+            "factors": {**words, "additionalProperties": {"anyOf": factor}},
+            "stimuli": {
+                "type": "array",
+                "minItems": 1,
+                "items": {
+                    "type": "object",
+                    "required": ["verb"],
+                    "properties": {"verb": {"enum": list(verbs)}},
+                    "allOf": chosen,
+                },
+            },
+        },
+        "$defs": {
+            "filled": {
+                "type": "string",
+                "pattern": "\\{[^{}]+\\}",
+                "description": "with a place to fill; a place alone becomes the level itself, of any kind",
+            },
+            "word": {"type": "string", "pattern": "^[A-Za-z][A-Za-z0-9_]*$"},
+            "pattern": {
+                "anyOf": [{"type": "string", "pattern": "\\S"}, {"type": "number"}],
+                "description": "names of stimuli: text, / between folders, places in braces",
+            },
+            **entries,
+        },
+    }
+
+
+def _entry(verb: Verb) -> Schema:
+    settings = settings_of(verb.request)
+    own = {"verb": {"const": verb.name}, "name": {"$ref": "#/$defs/pattern"}}
+    assert tuple(own) == OWN_KEYS
+    return {
+        "type": "object",
+        "required": ["verb", *(field.name for field in settings if field.required)],
+        "additionalProperties": False,
+        "properties": {**own, **{field.name: setting_schema(field) for field in settings}},
+    }
+
+
+def setting_schema(field: Field) -> Schema:
+    """Make the JSON Schema of one setting of an entry: of its values, of texts that stand for them, and of places."""
+    nothing = [{"const": NOTHING}] if field.optional else []
+    values = json_schemas(field.kind, field.marks)
+    return {"description": field.help, "anyOf": [{"$ref": "#/$defs/filled"}, *nothing, *values]}
+
+
+def main() -> None:
+    """Print the document that is asked for."""
+    (wanted,) = sys.argv[1:]
+    print(verbs_page().rstrip() if wanted == "verbs" else json.dumps(recipe_schema(), indent=2))
+
+
+if __name__ == "__main__":
+    main()
