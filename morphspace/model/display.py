@@ -1,0 +1,127 @@
+"""Show a model and loadings in a notebook: a card of HTML, and figures by matplotlib (ours).
+
+matplotlib is imported when a figure is asked for; nothing else of the package needs it.
+"""
+
+from __future__ import annotations
+
+import base64
+from collections.abc import Mapping, Sequence
+from html import escape
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from morphspace.arrays import Image
+from morphspace.errors import BadInput
+from morphspace.io.images import jpeg_bytes
+
+if TYPE_CHECKING:
+    from morphspace.model.model import Loadings, MorphModel
+
+CARD_COMPONENTS, CARD_SD = 3, 2.0  # Nagle's figures show components at some SD from the mean
+CARD_WIDTH_PX = 90  # of a face on a card
+FIGURE_STEPS = 5  # faces of a component, from minus to plus
+LEGEND_AT_MOST = 10  # lines, beyond which a legend hides the figure
+
+
+def picture_tag(image: Image, title: str, width_px: int = CARD_WIDTH_PX) -> str:
+    """Return an HTML `img` of a picture (h, w, 3) in [0, 1], with its data inside; the title is escaped."""
+    data = base64.b64encode(jpeg_bytes(np.clip(image, 0, 1))).decode("ascii")
+    words = escape(title, quote=True)
+    return f'<img width="{width_px}" title="{words}" alt="{words}" src="data:image/jpeg;base64,{data}">'
+
+
+def card(heading: str, facts: Mapping[str, Any], rows: Sequence[Sequence[str]] = ()) -> str:
+    """Return an HTML card: a heading, facts as a table, and rows of pictures (`picture_tag`). Facts are escaped."""
+    table = "".join(
+        f"<tr><th style='text-align:left'>{escape(name)}</th><td style='text-align:left'>{escape(str(value))}</td></tr>"
+        for name, value in facts.items()
+        if value is not None
+    )
+    pictures = "".join(f"<div style='white-space:nowrap'>{''.join(row)}</div>" for row in rows)
+    return f"<div><b>{escape(heading)}</b><table>{table}</table>{pictures}</div>"
+
+
+def model_card(model: MorphModel) -> str:
+    """Return a model as an HTML card: who, how many components, consent; the mean face and components at +/- 2 SD."""
+    facts = {
+        "frames": len(model.training.frame_names),
+        "size": f"{model.size[0]} x {model.size[1]} px",
+        "components": f"{model.rank}, {model.variance_explained:.1%} of the variance",
+        "keypoints": "set" if model.faceframe is not None else "none: `morphspace keypoints MODEL --auto`",
+        "consent": model.provenance.get("consent"),
+        "licence": model.provenance.get("licence"),
+        "model id": model.model_id,
+    }
+    rows = [[picture_tag(model.mean.render(), "mean face")]]
+    for place in range(min(CARD_COMPONENTS, model.rank)):
+        rows[0] += [
+            picture_tag(_along(model, place, amount), f"component {place + 1} at {amount:+g} SD")
+            for amount in (-CARD_SD, CARD_SD)
+        ]
+    return card(f"MorphModel of {model.identity}", facts, rows)
+
+
+def loadings_card(loadings: Loadings) -> str:
+    """Return loadings as an HTML card: their size, unit and range."""
+    count, components = loadings.values.shape
+    facts = {
+        "frames": count,
+        "components": components,
+        "model id": loadings.model_id,
+        "first frames": ", ".join(loadings.frame_names[:3]) + (" ..." if count > 3 else ""),
+    }
+    return card("Loadings", facts)
+
+
+def plot_components(model: MorphModel, components: int = 3, amount_sd: float = 2.0) -> Any:
+    """Draw each of the first components from minus to plus `amount_sd`, one row a component.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+
+    Raises
+    ------
+    BadInput
+        If the model has no component, or fewer than 1 is asked for.
+    """
+    from matplotlib.figure import Figure
+
+    count = min(components, model.rank)
+    if count < 1:
+        raise BadInput(
+            f"{components} components were asked for and the model has {model.rank}; expected at least 1 of each."
+        )
+    amounts = np.linspace(-amount_sd, amount_sd, FIGURE_STEPS)
+    figure = Figure(figsize=(1.4 * FIGURE_STEPS, 1.8 * count), layout="constrained")
+    axes = figure.subplots(count, FIGURE_STEPS, squeeze=False)
+    for place in range(count):
+        for axis, amount in zip(axes[place], amounts, strict=True):
+            axis.imshow(np.clip(_along(model, place, float(amount)), 0, 1))
+            axis.set_axis_off()
+            axis.set_title(f"{place + 1}: {amount:+g} SD", fontsize=8)
+    return figure
+
+
+def plot_loadings(values: Any, unit: str, components: int = 6) -> Any:
+    """Draw the first loadings (n, k) over the frames, one line a component; return the matplotlib figure."""
+    from matplotlib.figure import Figure
+
+    count = min(components, values.shape[1])
+    figure = Figure(figsize=(7, 3), layout="constrained")
+    axis = figure.subplots()
+    for place in range(count):
+        axis.plot(values[:, place], label=f"component {place + 1}")
+    axis.set_xlabel("frame")
+    axis.set_ylabel(f"loading ({unit})")
+    if 0 < count <= LEGEND_AT_MOST:
+        axis.legend(fontsize=8)
+    return figure
+
+
+def _along(model: MorphModel, place: int, amount_sd: float) -> Image:
+    loadings = np.zeros(model.rank)
+    loadings[place] = amount_sd * model.sd[place]
+    return model.render(loadings)
