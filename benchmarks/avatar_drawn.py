@@ -20,8 +20,8 @@ from morphspace.flow.methods import named
 from morphspace.grid import warp
 from morphspace.io.images import write_image
 from morphspace.io.sidecars import MarkedFaceframe, Sidecar, write_sidecar
-from morphspace.model.from_clip import build_model
 from morphspace.model.model import MorphModel
+from morphspace.notebook import build
 from morphspace.steps import result_of, spread
 from morphspace.synthetic.actor import Actor, ActorFrame
 from morphspace.synthetic.drawn import drawn_actor
@@ -211,7 +211,7 @@ def _model(folder: Path, identity: Identity, performance: list[Expression]) -> M
     write_sidecar(
         folder / "clip.json", Sidecar(identity=folder.name, consent="drawn: no person", faceframe=marked)
     )
-    return build_model(folder, components=COMPONENTS, identity=folder.name, flow="fast")
+    return build(folder, components=COMPONENTS, identity=folder.name, flow="fast")
 
 
 def _measured(

@@ -19,9 +19,9 @@ from morphspace.face.detector import Detector, load_detector
 from morphspace.face.mesh import MESH_COUNT
 from morphspace.grid import warp
 from morphspace.io.images import write_image
-from morphspace.model.from_clip import build_model
 from morphspace.model.keypoints import affine_between_models, landmarks_of
 from morphspace.model.model import MorphModel, load_model
+from morphspace.notebook import build
 from morphspace.steps import result_of, spread
 from morphspace.transfer.mimicry import MAX_SD, METHODS, Method, auto_gain, mimic
 from morphspace.verbs import keypoints
@@ -129,7 +129,7 @@ def keyed_model(data: Path, name: str, work: Path) -> MorphModel:
         tell(f"mimicry: building {name}")
         path.parent.mkdir(parents=True, exist_ok=True)
         frames = data / "sequences" / name / "frames" / "*.jpg"
-        build_model(frames, components=COMPONENTS, size=SIZE, identity=name).save(path)
+        build(frames, components=COMPONENTS, size=SIZE, identity=name).save(path)
     if load_model(path).landmarks is None:
         result_of(keypoints.run(keypoints.KeypointsRequest(path, automatic=True), load_detector()))
     return load_model(path)

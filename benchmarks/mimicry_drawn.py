@@ -9,8 +9,8 @@ from tables import print_table, tell
 
 from morphspace.arrays import AnyArray, Image
 from morphspace.linear.quality import psnr_db
-from morphspace.model.from_clip import build_model
 from morphspace.model.model import MorphModel
+from morphspace.notebook import build
 from morphspace.synthetic.clips import Truth, make_actors, read_truth
 from morphspace.synthetic.drawn import drawn_actor
 from morphspace.synthetic.parameters import Expression, Identity
@@ -38,7 +38,7 @@ def mimicry_drawn(work: Path) -> None:
     for piece in make_actors(folder, identities=2, frames=TRAINED, seed=SEED):
         if piece.truth is not None:
             tell(f"mimicry-drawn: drew {piece.actor}")
-    models = [build_model(folder / f"actor_{k:02d}", components=COMPONENTS) for k in (1, 2)]
+    models = [build(folder / f"actor_{k:02d}", components=COMPONENTS) for k in (1, 2)]
     truths = [read_truth(folder / "truth" / f"actor_{k:02d}.truth") for k in (1, 2)]
     driven = np.linspace(0, TRAINED - 1, DRIVING).astype(int)
     asked = _parameters(truths[0])[driven]

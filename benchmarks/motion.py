@@ -21,8 +21,8 @@ from morphspace.imitation.shape import centred
 from morphspace.io.images import read_image
 from morphspace.io.tables import read_loadings_table, read_metrics_table
 from morphspace.linear import quality
-from morphspace.model.from_clip import build_model
 from morphspace.model.model import Loadings, MorphModel, load_model
+from morphspace.notebook import build
 from morphspace.steps import result_of
 from morphspace.stimuli import stepping, timing, trajectory
 from morphspace.stimuli.continuum import Line
@@ -64,7 +64,7 @@ def _models(data: Path, work: Path) -> Iterator[tuple[str, MorphModel]]:
         for piece in make_actors(folder, identities=1, frames=DRAWN_FRAMES, seed=DRAWN_SEED):
             if piece.truth is not None:
                 tell(f"motion: drew {piece.actor}")
-        build_model(folder / "actor_01", components=COMPONENTS).save(path)
+        build(folder / "actor_01", components=COMPONENTS).save(path)
     yield DRAWN, load_model(path)
 
 

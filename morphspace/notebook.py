@@ -17,11 +17,11 @@ import numpy as np
 from morphspace.arrays import Image, LoadingTable
 from morphspace.avatar import AvatarSettings, blend_steps
 from morphspace.avatar.pair import pair_model
-from morphspace.errors import BadInput, ReferenceMismatch
+from morphspace.errors import BadInput
 from morphspace.flow.methods import DEFAULT
 from morphspace.io.clips import open_clip
 from morphspace.io.images import write_image
-from morphspace.model.display import card, picture_tag, plot_components, plot_loadings
+from morphspace.model.display import card, picture_tag
 from morphspace.model.encode import encoded_frames, framed_for, joined
 from morphspace.model.from_clip import ClipSettings, build_clip
 from morphspace.model.model import Loadings, MorphModel, load_model
@@ -32,9 +32,9 @@ from morphspace.stimuli.continuum import Line, Spacing, spaced_positions
 from morphspace.stimuli.drawing import Drawing, check_name
 from morphspace.stimuli.drawn import draw
 from morphspace.stimuli.operations import Motion, operations_of, worked
-from morphspace.transfer.mimicry import MAX_SD, METHODS, Method, auto_gain
+from morphspace.transfer.mimicry import MAX_SD, Method, Mimicry, auto_gain
 from morphspace.transfer.mimicry import mimic as prepare_mimicry
-from morphspace.transfer.neutral import automatic_recentring
+from morphspace.transfer.neutral import neutral_of
 
 SHEET_FACES = 12  # of a sequence on a card; a notebook is to stay small
 FRAME_RATE_HZ = 25.0  # of a motion whose model does not state its rate
@@ -95,10 +95,16 @@ class Faces(Sequence[Image]):
         count = min(len(self), SHEET_FACES)
         tags = [picture_tag(self[place], self.names[place]) for place in range(count)]
         drawn = f"{count} of {len(self)}" if count < len(self) else str(count)
-        return card(f"Faces: {drawn}", {"model id": self.loadings.model_id}, [tags[at : at + 6] for at in range(0, count, 6)])
+        return card(
+            f"Faces: {drawn}",
+            {"model id": self.loadings.model_id},
+            [tags[at : at + 6] for at in range(0, count, 6)],
+        )
 
 
-def build(*sources: str | Path, work_folder: Path | None = None, progress: bool = False, **settings: Any) -> MorphModel:
+def build(
+    *sources: str | Path, work_folder: Path | None = None, progress: bool = False, **settings: Any
+) -> MorphModel:
     """Build a model of one person from a folder, a quoted glob, a video, or image files (Nagle section 2).
 
     Parameters
@@ -212,28 +218,30 @@ def mimic(
     ReferenceMismatch
         If the loadings belong to another model than the source.
     """
-    rows = source.training if faces is None else faces
-    _check_model(rows, source)
-    chosen = method or ("guided" if source.landmarks is not None and target.landmarks is not None else "transfer")
-    if chosen not in METHODS:
-        raise BadInput(f"method is {chosen!r}; expected one of {', '.join(METHODS)}. Choose one of them.")
-    origin = automatic_recentring(source, target)
+    rows = (source.training if faces is None else faces).in_raw(source)
+    both = source.landmarks is not None and target.landmarks is not None
+    chosen: Method = method or ("guided" if both else "transfer")
+    neutral = neutral_of(source, target)
     if gain is None:
-        gain = auto_gain(source, target, chosen, origin=origin) if chosen in ("guided", "transfer") else 1.0
-    show = prepare_mimicry(source, target, chosen, gain=gain, max_sd=max_sd, origin=origin)
+        gain = auto_gain(source, target, chosen, neutral=neutral) if chosen in ("guided", "transfer") else 1.0
+    show = prepare_mimicry(source, target, chosen, gain=gain, max_sd=max_sd, neutral=neutral)
 
-    def made(place: int) -> Any:
-        values = np.zeros(source.rank)
-        row = rows.values[place]
-        values[: len(row)] = row
-        return show(source.offset(values), values)
+    def made(place: int) -> Mimicry:
+        padded = np.zeros(source.rank)
+        padded[: rows.values.shape[1]] = rows.values[place]
+        return show(source.offset(padded), padded)
 
-    values = np.stack([made(place).loadings for place in range(len(rows.frame_names))])
-    loadings = Loadings(values, rows.frame_names, target.model_id)
+    loadings = Loadings(
+        np.stack([made(place).loadings for place in range(len(rows.frame_names))]),
+        rows.frame_names,
+        target.model_id,
+    )
     return Faces(rows.frame_names, loadings, lambda place: made(place).morph.render())
 
 
-def blend(*models: MorphModel, progress: bool = False, work_folder: Path | None = None, **settings: Any) -> MorphModel:
+def blend(
+    *models: MorphModel, progress: bool = False, work_folder: Path | None = None, **settings: Any
+) -> MorphModel:
     """Blend several people into one model that shows nobody (Nagle section 4).
 
     Parameters
@@ -292,13 +300,14 @@ def caricature(
     ReferenceMismatch
         If the loadings belong to another model.
     """
-    rows = _in_sd(faces, model)
+    rows = faces.in_sd(model).values
     places = None if components is None else components_named(components, rows.shape[1])
     drawings = []
     for name, row in zip(faces.frame_names, rows, strict=True):
         for gain in gains:
             shape, colour = (
-                caricatured(row[None], gain if own is None else own, places) for own in (warp_gain, texture_gain)
+                caricatured(row[None], gain if own is None else own, places)
+                for own in (warp_gain, texture_gain)
             )
             drawings.append(
                 Drawing(
@@ -347,13 +356,16 @@ def trajectory(
         If an operation is unknown or cannot be done to these motions.
     """
     rate = float(rate_hz or model.provenance.get("frame_rate_hz") or FRAME_RATE_HZ)
-    given = [Motion(f"motion_{place}", _in_sd(one, model), rate) for place, one in enumerate(motions)]
+    given = [Motion(f"motion_{place}", one.in_sd(model).values, rate) for place, one in enumerate(motions)]
     if not given:
         raise BadInput("0 motions were given; expected at least 1. Give loadings of a motion.")
-    led = None if guide is None else Motion("guide", _in_sd(guide, model), rate)
+    led = None if guide is None else Motion("guide", guide.in_sd(model).values, rate)
     width = given[0].loadings_sd.shape[1]
     done = worked(given, operations_of(list(operations)), model.sd[:width], led, seed)
-    return tuple(_loadings(model, one.loadings_sd, [f"frame_{i:04d}" for i in range(len(one.loadings_sd))]) for one in done)
+    return tuple(
+        _of_sd(model, one.loadings_sd, [f"frame_{i:04d}" for i in range(len(one.loadings_sd))])
+        for one in done
+    )
 
 
 def continuum(
@@ -387,7 +399,7 @@ def continuum(
         pair = pair_model([first, last], flow=DEFAULT, inputs=inputs, versions=versions()).model
         line = Line(pair, *pair.training.values)
     elif model is not None and isinstance(first, Loadings) and isinstance(last, Loadings):
-        ends = [_in_sd(one, model) for one in (first, last)]
+        ends = [one.in_sd(model).values for one in (first, last)]
         if any(len(one) != 1 for one in ends):
             raise BadInput(
                 f"the ends have {len(ends[0])} and {len(ends[1])} rows; expected one face each. Give one row, "
@@ -416,5 +428,26 @@ def plot(what: MorphModel | Loadings, **options: Any) -> Any:
 
 def _faces(model: MorphModel, drawings: Sequence[Drawing]) -> Faces:
     names = tuple(one.name for one in drawings)
-    loadings = _loadings(model, np.concatenate([one.loadings_sd for one in drawings]), names)
+    loadings = _of_sd(model, np.concatenate([one.loadings_sd for one in drawings]), names)
     return Faces(names, loadings, lambda place: next(draw(model, drawings[place])))
+
+
+def _of_sd(model: MorphModel, values_sd: LoadingTable, names: Sequence[str]) -> Loadings:
+    return Loadings(values_sd, tuple(names), model.model_id, "sd")
+
+
+def _run(steps: Steps[Any], progress: bool) -> Any:
+    """Run long work to its end, with a progress bar if one is wanted."""
+    if not progress:
+        return result_of(steps)
+    from tqdm import tqdm
+
+    with tqdm(leave=False) as bar:
+
+        def on_step(step: Step) -> None:
+            bar.set_description(step.stage)
+            bar.total = step.total
+            bar.n = step.done
+            bar.refresh()
+
+        return result_of(steps, on_step)

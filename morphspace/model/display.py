@@ -1,6 +1,7 @@
 """Show a model and loadings in a notebook: a card of HTML, and figures by matplotlib (ours).
 
-matplotlib is imported when a figure is asked for; nothing else of the package needs it.
+`model` is a `MorphModel` and `loadings` are `Loadings`, which import this module. matplotlib is imported when a figure
+is asked for; nothing else of the package needs it.
 """
 
 from __future__ import annotations
@@ -8,7 +9,7 @@ from __future__ import annotations
 import base64
 from collections.abc import Mapping, Sequence
 from html import escape
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -16,12 +17,10 @@ from morphspace.arrays import Image
 from morphspace.errors import BadInput
 from morphspace.io.images import jpeg_bytes
 
-if TYPE_CHECKING:
-    from morphspace.model.model import Loadings, MorphModel
-
 CARD_COMPONENTS, CARD_SD = 3, 2.0  # Nagle's figures show components at some SD from the mean
 CARD_WIDTH_PX = 90  # of a face on a card
 FIGURE_STEPS = 5  # faces of a component, from minus to plus
+UNIT_NAMES = {"sd": "SD of each component", "raw": "raw, of the model's inner product"}
 LEGEND_AT_MOST = 10  # lines, beyond which a legend hides the figure
 
 
@@ -43,12 +42,12 @@ def card(heading: str, facts: Mapping[str, Any], rows: Sequence[Sequence[str]] =
     return f"<div><b>{escape(heading)}</b><table>{table}</table>{pictures}</div>"
 
 
-def model_card(model: MorphModel) -> str:
+def model_card(model: Any) -> str:
     """Return a model as an HTML card: who, how many components, consent; the mean face and components at +/- 2 SD."""
     facts = {
         "frames": len(model.training.frame_names),
         "size": f"{model.size[0]} x {model.size[1]} px",
-        "components": f"{model.rank}, {model.variance_explained:.1%} of the variance",
+        "components": f"{model.rank}, {model.basis.variance_explained:.1%} of the variance",
         "keypoints": "set" if model.faceframe is not None else "none: `morphspace keypoints MODEL --auto`",
         "consent": model.provenance.get("consent"),
         "licence": model.provenance.get("licence"),
@@ -63,19 +62,20 @@ def model_card(model: MorphModel) -> str:
     return card(f"MorphModel of {model.identity}", facts, rows)
 
 
-def loadings_card(loadings: Loadings) -> str:
+def loadings_card(loadings: Any) -> str:
     """Return loadings as an HTML card: their size, unit and range."""
     count, components = loadings.values.shape
     facts = {
         "frames": count,
         "components": components,
+        "unit": UNIT_NAMES[loadings.unit],
         "model id": loadings.model_id,
         "first frames": ", ".join(loadings.frame_names[:3]) + (" ..." if count > 3 else ""),
     }
     return card("Loadings", facts)
 
 
-def plot_components(model: MorphModel, components: int = 3, amount_sd: float = 2.0) -> Any:
+def plot_components(model: Any, components: int = 3, amount_sd: float = 2.0) -> Any:
     """Draw each of the first components from minus to plus `amount_sd`, one row a component.
 
     Returns
@@ -105,23 +105,23 @@ def plot_components(model: MorphModel, components: int = 3, amount_sd: float = 2
     return figure
 
 
-def plot_loadings(values: Any, unit: str, components: int = 6) -> Any:
-    """Draw the first loadings (n, k) over the frames, one line a component; return the matplotlib figure."""
+def plot_loadings(loadings: Any, components: int = 6) -> Any:
+    """Draw the first loadings over the frames, one line a component; return the matplotlib figure."""
     from matplotlib.figure import Figure
 
-    count = min(components, values.shape[1])
+    count = min(components, loadings.values.shape[1])
     figure = Figure(figsize=(7, 3), layout="constrained")
     axis = figure.subplots()
     for place in range(count):
-        axis.plot(values[:, place], label=f"component {place + 1}")
+        axis.plot(loadings.values[:, place], label=f"component {place + 1}")
     axis.set_xlabel("frame")
-    axis.set_ylabel(f"loading ({unit})")
+    axis.set_ylabel(f"loading ({UNIT_NAMES[loadings.unit]})")
     if 0 < count <= LEGEND_AT_MOST:
         axis.legend(fontsize=8)
     return figure
 
 
-def _along(model: MorphModel, place: int, amount_sd: float) -> Image:
+def _along(model: Any, place: int, amount_sd: float) -> Image:
     loadings = np.zeros(model.rank)
     loadings[place] = amount_sd * model.sd[place]
     return model.render(loadings)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import tempfile
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
@@ -17,14 +16,13 @@ from morphspace.face.faceframe import FaceFrame, RegistrationKind
 from morphspace.flow import methods
 from morphspace.flow.starts import StartKind
 from morphspace.grid.warp import apply_affine, inverse_affine
-from morphspace.io.clips import Clip, open_clip
+from morphspace.io.clips import Clip
 from morphspace.io.framing import FramedClip, Framing
 from morphspace.io.images import read_mask
 from morphspace.io.sidecars import MarkedFaceframe
-from morphspace.model.model import MorphModel
 from morphspace.model.passes import COMPONENTS, Build, BuildSettings, build_steps
 from morphspace.outcome import versions
-from morphspace.steps import Steps, result_of
+from morphspace.steps import Steps
 from morphspace.storage import digest_of_array
 
 DEFAULT_SIDE_PX = 400  # frames larger than this are scaled to cover 200 x 240 unless a size is given
@@ -87,28 +85,6 @@ class ClipSettings:
                 f"the warp weight is {weight}; expected a number above 0, at most {MOST_WEIGHT:g} colour per px. Give "
                 "such a number, or auto"
             )
-
-
-def build_model(*sources: str | Path, work_folder: Path | None = None, **settings: Any) -> MorphModel:
-    """Build a model from a folder, a glob, a video or image files.
-
-    Nothing is written but the work folder, which is temporary unless one is given.
-
-    Parameters
-    ----------
-    settings
-        The fields of `ClipSettings`.
-
-    Raises
-    ------
-    BadInput
-        Where the clip cannot be read, or a setting cannot be used.
-    """
-    asked, clip = ClipSettings(**settings), open_clip(tuple(map(str, sources)))
-    if work_folder is not None:
-        return result_of(build_clip(clip, asked, work_folder))[0].model
-    with tempfile.TemporaryDirectory(prefix="morphspace-") as folder:
-        return result_of(build_clip(clip, asked, Path(folder)))[0].model
 
 
 def build_clip(clip: Clip, asked: ClipSettings, work_folder: Path) -> Steps[tuple[Build, tuple[str, ...]]]:

@@ -34,6 +34,7 @@ from morphspace.face.registration import Registration
 from morphspace.flow import FlowFunction, methods
 from morphspace.grid import warp
 from morphspace.linear.pca import Basis
+from morphspace.model import display
 from morphspace.model.file import FORMAT, FORMAT_VERSION, content_digest, read_model_file
 from morphspace.model.fit import Fitter
 from morphspace.model.landmarks import LandmarkRegression
@@ -82,6 +83,34 @@ class Loadings:
                 f"loadings of shape {self.values.shape} do not fit {len(self.frame_names)} frame names: one row a frame"
             )
         object.__setattr__(self, "values", read_only(self.values))
+
+    def __getitem__(self, rows: int | slice) -> Loadings:
+        """Return one face, or a slice of them, as loadings of their own."""
+        if isinstance(rows, int):
+            place = range(len(self.frame_names))[rows]
+            rows = slice(place, place + 1)
+        return Loadings(self.values[rows], self.frame_names[rows], self.model_id, self.unit)
+
+    def __len__(self) -> int:
+        return len(self.frame_names)
+
+    def __repr__(self) -> str:
+        count, components = self.values.shape
+        return f"Loadings({count} frames x {components} components, {self.unit}, model {self.model_id})"
+
+    def _repr_html_(self) -> str:
+        return display.loadings_card(self)
+
+    def plot(self, components: int = 6) -> Any:
+        """Draw the first loadings over the frames; return a matplotlib figure."""
+        return display.plot_loadings(self, components)
+
+    def to_pandas(self) -> Any:
+        """Return a pandas DataFrame: one row a frame, one column a component (pc001, ...), in this unit."""
+        import pandas
+
+        columns = [f"pc{place + 1:03d}" for place in range(self.values.shape[1])]
+        return pandas.DataFrame(np.array(self.values), index=list(self.frame_names), columns=columns)
 
     def in_sd(self, model: MorphModel) -> Loadings:
         """Give the same faces in SD of each component. Raises `ReferenceMismatch` for another model."""
@@ -141,6 +170,17 @@ class MorphModel:
             )
         for name in ("mask", "reference", "mean_inverse"):
             object.__setattr__(self, name, read_only(getattr(self, name)))
+
+    def __repr__(self) -> str:
+        width, height = self.size
+        return f"MorphModel({self.identity}, {self.rank} components, {width} x {height} px, {self.model_id})"
+
+    def _repr_html_(self) -> str:
+        return display.model_card(self)
+
+    def plot_components(self, components: int = 3, amount_sd: float = 2.0) -> Any:
+        """Draw the first components from minus to plus `amount_sd`; return a matplotlib figure."""
+        return display.plot_components(self, components, amount_sd)
 
     @property
     def model_id(self) -> str:

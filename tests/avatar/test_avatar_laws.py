@@ -19,8 +19,8 @@ from morphspace.errors import BadInput
 from morphspace.io.images import write_image
 from morphspace.linear.quality import psnr_db
 from morphspace.model.encode import framed_for
-from morphspace.model.from_clip import build_model
 from morphspace.model.model import load_model
+from morphspace.notebook import build
 from morphspace.steps import result_of
 from morphspace.synthetic import Expression, Identity
 from morphspace.synthetic.drawn import drawn_actor
@@ -56,7 +56,7 @@ def _model(name, seed, folder):
         if index == 0:
             marked = dict(zip(("right_eye", "left_eye", "philtrum"), shot.faceframe.tolist(), strict=True))
             (folder / "clip.json").write_text(json.dumps({"faceframe": {**marked, "frame": "f00.png"}}))
-    return build_model(
+    return build(
         folder,
         components=6,
         size=SIZE,

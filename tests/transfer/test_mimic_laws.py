@@ -12,13 +12,13 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
+from morphspace import notebook
 from morphspace.errors import BadInput
 from morphspace.face.faceframe import FaceFrame
 from morphspace.grid import warp
 from morphspace.io.images import write_image
 from morphspace.linear.pca import Basis
 from morphspace.linear.quality import psnr_db
-from morphspace.model.from_clip import build_model
 from morphspace.model.morph import Morph, MorphOffset
 from morphspace.synthetic import Expression, Identity
 from morphspace.synthetic.drawn import drawn_actor
@@ -83,7 +83,7 @@ def built(drawn, tmp_path_factory):
             marked = dict(zip(("right_eye", "left_eye", "philtrum"), points.tolist(), strict=True))
             (folder / "clip.json").write_text(json.dumps({"faceframe": {**marked, "frame": "f00.png"}}))
             size = (images[0].shape[1], images[0].shape[0])
-            models[name, how] = build_model(
+            models[name, how] = notebook.build(
                 folder,
                 components=COMPONENTS,
                 size=size,

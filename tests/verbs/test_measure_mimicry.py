@@ -26,10 +26,10 @@ from morphspace.imitation.motions import name_of_table
 from morphspace.io.images import read_image, write_image
 from morphspace.io.tables import read_loadings_table, read_metrics_table, write_loadings_table
 from morphspace.io.video import video_info
-from morphspace.model.from_clip import build_model
 from morphspace.model.keypoints import region_of
 from morphspace.model.model import load_model
 from morphspace.model.morph import Morph
+from morphspace.notebook import build
 from morphspace.steps import result_of
 from morphspace.storage import digest_of_file
 from morphspace.verbs import measure_mimicry
@@ -584,7 +584,7 @@ def test_held_out_frames_of_the_models_own_recording_are_not_called_anothers(tmp
             place = tmp_path / (name if index % 2 else f"{name}-built") / f"f_{index:03d}.png"
             place.parent.mkdir(exist_ok=True)
             write_image(place, np.clip(frame, 0, 1).astype(np.float32), bits=16)
-    built = build_model(tmp_path / "own-built", components=4, flow="fast", warp_weight=0.05)
+    built = build(tmp_path / "own-built", components=4, flow="fast", warp_weight=0.05)
     built.save(tmp_path / "drawn.morph")
     given = str(tmp_path / "own"), str(tmp_path / "other")
     outcome = measured(tmp_path, *given)
