@@ -6,6 +6,7 @@ changed, which dense flow cannot. What a build takes from the points is in `face
 
 from __future__ import annotations
 
+from collections.abc import Callable, Collection
 from pathlib import Path
 
 import cv2
@@ -21,22 +22,40 @@ from morphspace.steps import Step, Steps, in_order
 POINTS_FORMAT = "morphspace-frame-points-1"
 
 
+def _nothing(index: int, image: Image) -> None:
+    del index, image
+
+
 def points_steps(
-    source: FrameSource, detector: Detector, work_folder: Path
+    source: FrameSource,
+    detector: Detector,
+    work_folder: Path,
+    *,
+    also: Collection[int] = (),
+    look: Callable[[int, Image], None] = _nothing,
 ) -> Steps[tuple[FacePoints | None, ...]]:
-    """Find the face in each frame, or take it from the work folder; None where there is none. A generator of steps."""
+    """Find the face in each frame, or take it from the work folder; None where there is none. A generator of steps.
+
+    Frames at the places `also` are given to `look` too, in several threads, so that they need not be decoded again.
+    """
     common = [POINTS_FORMAT, cv2.__version__, dict(detector.identity)]
     files = [result_file(work_folder, *common, digest) for digest in source.digests]
-    missing = [index for index, file in enumerate(files) if not is_finished(file)]
+    missing = {index for index, file in enumerate(files) if not is_finished(file)}
+    wanted = set(also)
 
-    def find(item: tuple[int, Image]) -> None:
+    def see(item: tuple[int, Image]) -> bool:
         index, image = item
-        _write(files[index], detector(image))
+        if index in missing:
+            _write(files[index], detector(image))
+        if index in wanted:
+            look(index, image)
+        return index in missing
 
     finished = len(files) - len(missing)
-    for _ in in_order(find, same_size(source, missing)):
-        finished += 1
-        yield Step("faces", finished, len(files))
+    for is_new in in_order(see, same_size(source, sorted(missing | wanted))):
+        if is_new:
+            finished += 1
+            yield Step("faces", finished, len(files))
     return tuple(_read(file) for file in files)
 
 

@@ -1,7 +1,8 @@
 """From frames to a model: reference, registration, flow, mean shape, morphs, warp weight, PCA (Nagle section 2).
 
 The work runs in passes over the frames and never holds more than a few of them. What is costly about a frame, its
-registration and flow, is kept in the work folder (`workframes`).
+registration and flow, is kept in the work folder (`work_frames`). A frame is decoded twice at most: once to look at it
+(its face, and whether it may be the reference), and once to find its flow.
 """
 
 from __future__ import annotations
@@ -17,7 +18,7 @@ from typing import Any
 import numpy as np
 
 from morphspace import cache
-from morphspace.arrays import Affine, AnyArray, Displacement, Image, Mask
+from morphspace.arrays import Affine, AnyArray, Displacement, Image, LoadingTable, Mask
 from morphspace.errors import BadInput
 from morphspace.face import regions
 from morphspace.face.anchor import FaceAnchor, rigid_movement
@@ -26,17 +27,17 @@ from morphspace.face.expression import expression_of, far_from_rest
 from morphspace.face.faceframe import FaceFrame, Frame, RegistrationKind
 from morphspace.face.mesh import FacePoints
 from morphspace.face.points_in_clip import points_steps
-from morphspace.face.regions import face_mask, mouth_surroundings, rigid_region
+from morphspace.face.regions import face_mask, rigid_region
 from morphspace.flow import Flow, methods, starts
 from morphspace.flow.starts import StartKind
 from morphspace.grid import warp
 from morphspace.io.framing import FrameSource, same_size
-from morphspace.linear.pca import basis_from_gram, gram_matrix, mean_row
+from morphspace.linear.pca import Basis, basis_from_gram, gram_matrix, mean_row
 from morphspace.linear.rows import RowFile
 from morphspace.model.keypoints import detect_faceframe, with_detected
 from morphspace.model.model import Loadings, MorphModel, inner_product, model_digest
-from morphspace.model.morph import Morph, invert_mean_shape, morph_of, resource
-from morphspace.model.reference import POOL, ReferenceChoice, mouth_contrast, search, shrunk
+from morphspace.model.morph import CHANNELS, Morph, invert_mean_shape, morph_of, resource
+from morphspace.model.reference import POOL, ReferenceChoice, SmallFrame, search, shrunk
 from morphspace.model.warp_weight import WeightTrial, best_trial, trial_weights
 from morphspace.model.work_frames import FramePlan, frame_steps, read_aligned, read_work_frame
 from morphspace.steps import Step, Steps, in_order, spread
@@ -104,28 +105,137 @@ def build_steps(
 ) -> Steps[Build]:
     """Build a model; a generator of steps that returns a `Build`.
 
-    Parameters: source, the frames; settings; work_folder, where finished frames are kept; provenance, a JSON document
-    with at least `identity`, `framing` and `versions`, to which the build adds what it chose. Raises `BadInput` for
-    fewer than three frames, frames of different sizes, or a mask that does not fit.
-
     With a detector, the points of the face give what was not given: rigid part and mask, a start for each frame's
-    registration, and the keypoints on the mean face; with `anchored` also an anchor for each frame's flow
-    (`anchoring`), and the choice of the reference among those that serve nearly as well (`facerest`). A frame without a
-    face goes without.
+    registration, and the keypoints on the mean face. With `anchored` they also hold each frame's flow (`face.anchor`)
+    and decide the reference among those that serve nearly as well. A frame without a face goes without.
+
+    Parameters
+    ----------
+    source
+        The frames. Each is decoded once to look at it, where that is needed, and once to find its flow.
+    settings
+    work_folder
+        Where finished frames are kept.
+    provenance
+        A JSON document with at least `identity`, `framing` and `versions`, to which the build adds what it chose.
+
+    Raises
+    ------
+    BadInput
+        For fewer than three frames, frames of different sizes, or a mask that does not fit.
     """
+    _check(source, settings)
+    work_folder.mkdir(parents=True, exist_ok=True)
+    looked = yield from _look_pass(source, settings, work_folder)
+    choice = yield from _reference_pass(source, settings, looked)
+    face = looked.found[choice.index]
+    plan, on_reference = _plan(source, settings, choice, face)
+    movements = [_movement(face, one) for one in looked.found]
+    files = yield from frame_steps(source, plan, work_folder, movements)
+    shape = _mean_shape(settings, plan, on_reference, files)
+    with _row_file(work_folder, len(files), CHANNELS * plan.mask.size) as rows:
+        measured = yield from _morph_pass(rows, files, shape)
+        components = yield from _component_pass(rows, files, shape.mask, settings)
+    said = _said(provenance, settings, looked, choice, plan, on_reference, components)
+    model = _model(source.names, settings, plan, on_reference, shape, components, said)
+    warnings = _warnings(source, choice, model)
+    model, without_keypoints = yield from _keypoint_pass(model, settings)
+    return Build(
+        model=model,
+        choice=choice,
+        registrations=shape.registrations,
+        fold_fractions=measured.folds,
+        motion_px=measured.motion_px,
+        confidences=measured.confidences,
+        confidence_map=measured.confidence_map,
+        from_neighbour=measured.from_neighbour,
+        trials=components.trials,
+        warnings=warnings + without_keypoints,
+        frame_files=tuple(files),
+        faces_found=None
+        if settings.detector is None
+        else np.array([one is not None for one in looked.found]),
+    )
+
+
+def _check(source: FrameSource, settings: BuildSettings) -> None:
+    """Refuse what cannot be built before any work is done. Raises `BadInput`."""
     count = len(source.names)
     if count < MIN_FRAMES:
         raise BadInput(f"{count} frames are too few for a model: give at least {MIN_FRAMES}")
     if settings.components < 1:
         raise BadInput(f"{settings.components} components were asked for: ask for at least 1")
-    methods.named(settings.flow)  # wrong names are told before any work is done
+    methods.named(settings.flow)
     starts.check_start(settings.start)
-    work_folder.mkdir(parents=True, exist_ok=True)
-    found: tuple[FacePoints | None, ...] = (None,) * count
-    if settings.detector is not None:
-        found = yield from points_steps(source, settings.detector, work_folder)
-    choice = yield from _choose_reference(source, settings, found)
-    face = found[choice.index]
+    if settings.reference is not None and not 0 <= settings.reference < count:
+        raise BadInput(
+            f"reference {settings.reference} was asked for, there are {count} frames: choose 0 to {count - 1}"
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class _Looked:
+    """What was seen of the frames: `found` (n) the points of each face; `small` pictures, by index, for the search."""
+
+    found: tuple[FacePoints | None, ...]
+    small: Mapping[int, SmallFrame]
+
+
+def _look_pass(source: FrameSource, settings: BuildSettings, work_folder: Path) -> Steps[_Looked]:
+    """Look at the frames: find the face in each, and shrink those among which the reference is searched."""
+    pool = [] if settings.reference is not None else spread(len(source.names), POOL)
+    small: dict[int, SmallFrame] = {}
+
+    def shrink(index: int, image: Image) -> None:
+        small[index] = shrunk(image, settings.faceframe)
+
+    if settings.detector is None:
+        for index, image in same_size(source, pool):
+            shrink(index, image)
+        return _Looked((None,) * len(source.names), small)
+    found = yield from points_steps(source, settings.detector, work_folder, also=pool, look=shrink)
+    return _Looked(found, small)
+
+
+def _reference_pass(source: FrameSource, settings: BuildSettings, looked: _Looked) -> Steps[ReferenceChoice]:
+    """Choose the reference, unless it was asked for."""
+    if settings.reference is not None:
+        return ReferenceChoice(settings.reference, source.names[settings.reference], "it was asked for")
+    indices = sorted(looked.small)
+    faces = [looked.found[index] if settings.anchored else None for index in indices]
+    far = far_from_rest(faces)
+    known = bool(np.isfinite(far).any())
+    place, errors = yield from search([looked.small[index] for index in indices], far if known else None)
+    best, worst = min(errors.values()), max(errors.values())
+    reason = (
+        f"of {len(errors)} frames tried it is among those that reach the hardest frames best (error "
+        f"{errors[place]:.4f}, best {best:.4f}, worst {worst:.4f}, colour 0 to 1), and of these "
+        f"{_nearest(faces[place])}"
+    )
+    return ReferenceChoice(indices[place], source.names[indices[place]], reason)
+
+
+def _nearest(face: FacePoints | None) -> str:
+    if face is None:
+        return "its mouth is nearest to half open"
+    return (
+        "its face is nearest to rest with the lips slightly apart (their gap is "
+        f"{expression_of(face).mouth_opening:.2f} eye distances)"
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class _OnReference:
+    """Where the face stands in the reference: `rigid`, for the rigid part, and `masked`, for the mask; None unknown."""
+
+    rigid: FaceFrame | None
+    masked: FaceFrame | None
+
+
+def _plan(
+    source: FrameSource, settings: BuildSettings, choice: ReferenceChoice, face: FacePoints | None
+) -> tuple[FramePlan, _OnReference]:
+    """Read the reference and say how every frame is brought to it. Raises `BadInput` for a mask of another size."""
     (reference,) = source.images([choice.index])
     height, width = reference.shape[:2]
     if settings.mask is not None and settings.mask.shape != (height, width):
@@ -133,89 +243,23 @@ def build_steps(
             f"the mask is {settings.mask.shape[1]}x{settings.mask.shape[0]}, the frames are {width}x{height}: "
             "draw it on the reference at the size of the frames"
         )
-    placed = settings.faceframe or (None if face is None else face.faceframe())
     overlap = 1.0 if settings.anchored else regions.OVERLAP
-    masked = settings.faceframe or regions.place_of_mask(face, height, width, overlap)
+    on_reference = _OnReference(
+        settings.faceframe or (None if face is None else face.faceframe()),
+        settings.faceframe or regions.place_of_mask(face, height, width, overlap),
+    )
+    holds = settings.detector is not None and face is not None and settings.anchored
     plan = FramePlan(
         reference=reference,
         reference_index=choice.index,
-        region=rigid_region(height, width, placed),
-        mask=face_mask(height, width, masked),
+        region=rigid_region(height, width, on_reference.rigid),
+        mask=face_mask(height, width, on_reference.masked),
         registration=settings.registration,
         flow=settings.flow,
         start=settings.start,
-        anchor=FaceAnchor(settings.detector, face)
-        if settings.detector and face and settings.anchored
-        else None,
+        anchor=FaceAnchor(settings.detector, face) if holds and settings.detector and face else None,
     )
-    movements = [_movement(face, one) for one in found]
-    files = yield from frame_steps(source, plan, work_folder, movements)
-    registrations, mean_field = _mean_field(files)
-    mean_inverse = invert_mean_shape(mean_field)
-    faceframe = _faceframe_on_mean(settings, files, registrations, mean_field)
-    mask = regions.mask_on_mean(
-        settings.mask, mean_inverse, faceframe or (masked and _carried(masked, mean_field))
-    )
-    reference_id = digest_of_json([digest_of_array(reference), digest_of_array(mean_inverse)])[:16]
-    with _row_file(work_folder, count, 5 * height * width) as rows:
-        measured = yield from _morph_pass(rows, files, mean_inverse, mask, reference_id)
-        mean = mean_row(rows)
-        yield Step("components", 1, 4)
-        trials: tuple[WeightTrial, ...] = ()
-        weight = settings.warp_weight
-        if weight is None:
-            trials = trial_weights(rows, mean, mask, settings.components, list(files), read_aligned)
-            weight = best_trial(trials)
-        yield Step("components", 2, 4)
-        product = inner_product(mask, weight)
-        gram = gram_matrix(rows, mean, product, 0, rows.shape[1])
-        yield Step("components", 3, 4)
-        basis, loadings = basis_from_gram(rows, mean, product, gram, settings.components)
-        yield Step("components", 4, 4)
-    mean_morph = Morph(mean, (height, width), reference_id)
-    full_provenance = {
-        **provenance,
-        "reference": {"frame": choice.name, "reason": choice.reason, "sha256": digest_of_array(reference)},
-        "flow_start": settings.start,
-        "mask_from": regions.origin_of_mask(settings.mask, settings.faceframe, masked),
-        "landmarks": None if settings.detector is None else _landmarks_document(settings, found, choice),
-        "components_asked": settings.components,
-        "warp_weight_trials": [[t.weight, t.psnr_db] for t in trials],
-    }
-    model = MorphModel(
-        mean=mean_morph,
-        basis=basis,
-        warp_weight=weight,
-        mask=mask,
-        reference=reference,
-        mean_inverse=mean_inverse,
-        faceframe=faceframe,
-        reference_faceframe=placed,
-        training=Loadings(loadings, source.names, model_digest(basis, mean_morph, full_provenance)),
-        registration=settings.registration,
-        flow=settings.flow,
-        provenance=full_provenance,
-    )
-    warnings = _warnings(source, choice, model)
-    if settings.detector is not None and faceframe is None and model.rank > 0:
-        try:
-            model = with_detected(model, (yield from detect_faceframe(model, settings.detector)))
-        except BadInput as error:
-            warnings += (f"the model has no keypoints: {error}",)
-    return Build(
-        model=model,
-        choice=choice,
-        registrations=registrations,
-        fold_fractions=measured.folds,
-        motion_px=measured.motion_px,
-        confidences=measured.confidences,
-        confidence_map=measured.confidence_map,
-        from_neighbour=measured.from_neighbour,
-        trials=trials,
-        warnings=warnings,
-        frame_files=tuple(files),
-        faces_found=None if settings.detector is None else np.array([one is not None for one in found]),
-    )
+    return plan, on_reference
 
 
 def _movement(reference: FacePoints | None, frame: FacePoints | None) -> Affine | None:
@@ -236,46 +280,33 @@ def _landmarks_document(
     }
 
 
-def _choose_reference(
-    source: FrameSource, settings: BuildSettings, found: tuple[FacePoints | None, ...]
-) -> Steps[ReferenceChoice]:
-    if settings.reference is not None:
-        if not 0 <= settings.reference < len(source.names):
-            raise BadInput(
-                f"reference {settings.reference} was asked for, there are {len(source.names)} frames: "
-                f"choose 0 to {len(source.names) - 1}"
-            )
-        name = source.names[settings.reference]
-        return ReferenceChoice(settings.reference, name, "it was asked for")
-    indices = spread(len(source.names), POOL)
-    small: list[Image] = []
-    contrasts: list[float] = []
-    mask: Mask = np.zeros((0, 0), np.float32)
-    for _, image in same_size(source, indices):
-        height, width = image.shape[:2]
-        contrasts.append(mouth_contrast(image, mouth_surroundings(height, width, settings.faceframe)))
-        little, mask = shrunk(image, face_mask(height, width, settings.faceframe))
-        small.append(little)
-    looked_at = [found[index] if settings.anchored else None for index in indices]
-    far = far_from_rest(looked_at)
-    known = bool(np.isfinite(far).any())
-    place, errors = yield from search(small, np.array(contrasts), mask, far if known else None)
-    best, worst = min(errors.values()), max(errors.values())
-    reason = (
-        f"of {len(errors)} frames tried it is among those that reach the hardest frames best (error "
-        f"{errors[place]:.4f}, best {best:.4f}, worst {worst:.4f}, colour 0 to 1), and of these "
-        f"{_nearest(looked_at[place])}"
-    )
-    return ReferenceChoice(indices[place], source.names[indices[place]], reason)
+@dataclass(frozen=True, eq=False)
+class _MeanShape:
+    """The mean shape of the frames, and what lies on the mean face.
+
+    `registrations` (n, 2, 3) of the frames | `mean_inverse` (h, w, 2) px, from the mean face to the reference |
+    `faceframe` and `mask` (h, w) on the mean face | `reference_id` names the mean face.
+    """
+
+    registrations: AnyArray
+    mean_inverse: Displacement
+    faceframe: FaceFrame | None
+    mask: Mask
+    reference_id: str
 
 
-def _nearest(face: FacePoints | None) -> str:
-    if face is None:
-        return "its mouth is nearest to half open"
-    return (
-        "its face is nearest to rest with the lips slightly apart (their gap is "
-        f"{expression_of(face).mouth_opening:.2f} eye distances)"
-    )
+def _mean_shape(
+    settings: BuildSettings, plan: FramePlan, on_reference: _OnReference, files: list[Path]
+) -> _MeanShape:
+    """Average the flows, invert the mean shape, and carry faceframe and mask to the mean face."""
+    registrations, mean_field = _mean_field(files)
+    mean_inverse = invert_mean_shape(mean_field)
+    faceframe = _faceframe_on_mean(settings, files, registrations, mean_field)
+    masked = on_reference.masked
+    place = faceframe or (masked and masked.moved(warp.move_points(mean_field, masked.points)))
+    mask = regions.mask_on_mean(settings.mask, mean_inverse, place)
+    digests = [digest_of_array(plan.reference), digest_of_array(mean_inverse)]
+    return _MeanShape(registrations, mean_inverse, faceframe, mask, digest_of_json(digests)[:16])
 
 
 def _mean_field(files: list[Path]) -> tuple[AnyArray, Displacement]:
@@ -315,17 +346,16 @@ class _Measured:
     from_neighbour: AnyArray
 
 
-def _morph_pass(
-    rows: RowFile, files: list[Path], mean_inverse: Displacement, mask: Mask, reference_id: str
-) -> Steps[_Measured]:
+def _morph_pass(rows: RowFile, files: list[Path], shape: _MeanShape) -> Steps[_Measured]:
     """Take each frame apart on the mean face and write its row; measure its flow there."""
+    mask, mean_inverse = shape.mask, shape.mean_inverse
     total = max(float(mask.sum()), 1.0)
 
     def take_apart(item: tuple[int, Path]) -> tuple[tuple[float, ...], Mask]:
         index, file = item
         work = read_work_frame(file)
         flow = work.flow.displacement
-        morph = morph_of(work.frame.image, resource(flow, mean_inverse), reference_id)
+        morph = morph_of(work.frame.image, resource(flow, mean_inverse), shape.reference_id)
         rows.write_row(index, morph.vector)
         square = (flow * flow).sum(axis=2)
         moved = float(np.sqrt((square * mask).sum() / total))
@@ -360,9 +390,96 @@ def _faceframe_on_mean(
     return settings.faceframe.moved(warp.move_points(mean_field, points))
 
 
-def _carried(faceframe: FaceFrame, mean_field: Displacement) -> FaceFrame:
-    """Carry a faceframe from the reference to the mean face."""
-    return faceframe.moved(warp.move_points(mean_field, faceframe.points))
+@dataclass(frozen=True, eq=False)
+class _Components:
+    """The components of the morphs: `mean` (5 h w,), `basis`, training `loadings` (n, k), and the warp weight tried."""
+
+    mean: AnyArray
+    basis: Basis
+    loadings: LoadingTable
+    weight: float
+    trials: tuple[WeightTrial, ...]
+
+
+def _component_pass(
+    rows: RowFile, files: list[Path], mask: Mask, settings: BuildSettings
+) -> Steps[_Components]:
+    """Choose the warp weight and find the principal components of the morphs."""
+    mean = mean_row(rows)
+    yield Step("components", 1, 4)
+    trials: tuple[WeightTrial, ...] = ()
+    weight = settings.warp_weight
+    if weight is None:
+        trials = trial_weights(rows, mean, mask, settings.components, files, read_aligned)
+        weight = best_trial(trials)
+    yield Step("components", 2, 4)
+    product = inner_product(mask, weight)
+    gram = gram_matrix(rows, mean, product, 0, rows.shape[1])
+    yield Step("components", 3, 4)
+    basis, loadings = basis_from_gram(rows, mean, product, gram, settings.components)
+    yield Step("components", 4, 4)
+    return _Components(mean, basis, loadings, weight, trials)
+
+
+def _said(
+    provenance: Mapping[str, Any],
+    settings: BuildSettings,
+    looked: _Looked,
+    choice: ReferenceChoice,
+    plan: FramePlan,
+    on_reference: _OnReference,
+    components: _Components,
+) -> dict[str, Any]:
+    """Give the provenance with what the build chose."""
+    digest = digest_of_array(plan.reference)
+    found = looked.found
+    return {
+        **provenance,
+        "reference": {"frame": choice.name, "reason": choice.reason, "sha256": digest},
+        "flow_start": settings.start,
+        "mask_from": regions.origin_of_mask(settings.mask, settings.faceframe, on_reference.masked),
+        "landmarks": None if settings.detector is None else _landmarks_document(settings, found, choice),
+        "components_asked": settings.components,
+        "warp_weight_trials": [[trial.weight, trial.psnr_db] for trial in components.trials],
+    }
+
+
+def _model(
+    names: tuple[str, ...],
+    settings: BuildSettings,
+    plan: FramePlan,
+    on_reference: _OnReference,
+    shape: _MeanShape,
+    components: _Components,
+    provenance: Mapping[str, Any],
+) -> MorphModel:
+    """Put the model together."""
+    mean = Morph(components.mean, plan.mask.shape, shape.reference_id)
+    model_id = model_digest(components.basis, mean, provenance)
+    return MorphModel(
+        mean=mean,
+        basis=components.basis,
+        warp_weight=components.weight,
+        mask=shape.mask,
+        reference=plan.reference,
+        mean_inverse=shape.mean_inverse,
+        faceframe=shape.faceframe,
+        reference_faceframe=on_reference.rigid,
+        training=Loadings(components.loadings, names, model_id),
+        registration=settings.registration,
+        flow=settings.flow,
+        provenance=provenance,
+    )
+
+
+def _keypoint_pass(model: MorphModel, settings: BuildSettings) -> Steps[tuple[MorphModel, tuple[str, ...]]]:
+    """Find the keypoints on the mean face, where a detector looks and none were given; else a warning."""
+    if settings.detector is None or model.faceframe is not None or model.rank == 0:
+        return model, ()
+    try:
+        return with_detected(model, (yield from detect_faceframe(model, settings.detector))), ()
+    except BadInput as error:
+        return model, (f"the model has no keypoints: {error}",)
 
 
 def _warnings(source: FrameSource, choice: ReferenceChoice, model: MorphModel) -> tuple[str, ...]:

@@ -11,12 +11,15 @@ to rest with the lips slightly apart: with the flow held to the points (`anchori
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import cv2
 import numpy as np
 
 from morphspace.arrays import AnyArray, Image, Mask
+from morphspace.face.faceframe import FaceFrame
+from morphspace.face.regions import face_mask, mouth_surroundings
 from morphspace.flow.baselines import LUMA, dis_medium, smoothed
 from morphspace.flow.starts import photometric_error
 from morphspace.steps import Step, Steps, in_order, spread
@@ -41,21 +44,32 @@ class ReferenceChoice:
     reason: str
 
 
-def shrunk(image: Image, mask: Mask) -> tuple[Image, Mask]:
-    """Give the image and its mask at about `SMALL_SIDE_PX` wide, which is enough to compare frames."""
-    height, width = mask.shape
+@dataclass(frozen=True, eq=False)
+class SmallFrame:
+    """A small picture (h, w, 3) of a frame, the mask (h, w) of its face, and the contrast of its mouth."""
+
+    image: Image
+    mask: Mask
+    contrast: float
+
+
+def shrunk(image: Image, faceframe: FaceFrame | None) -> SmallFrame:
+    """Give a frame (h, w, 3) at about `SMALL_SIDE_PX` wide, which is enough to compare frames.
+
+    `faceframe` says where the face stands, None where faces usually do.
+    """
+    height, width = image.shape[:2]
     scale = min(1.0, SMALL_SIDE_PX / width)
     size = max(16, round(width * scale)), max(16, round(height * scale))
-    return (
+    return SmallFrame(
         cv2.resize(image, size, interpolation=cv2.INTER_AREA),
-        cv2.resize(mask, size, interpolation=cv2.INTER_AREA),
+        cv2.resize(face_mask(height, width, faceframe), size, interpolation=cv2.INTER_AREA),
+        mouth_contrast(image, mouth_surroundings(height, width, faceframe)),
     )
 
 
-def search(
-    images: list[Image], contrasts: AnyArray, mask: Mask, far: AnyArray | None = None
-) -> Steps[tuple[int, dict[int, float]]]:
-    """Search the reference among small images (h, w, 3) with these mouth contrasts; a generator of steps.
+def search(frames: Sequence[SmallFrame], far: AnyArray | None = None) -> Steps[tuple[int, dict[int, float]]]:
+    """Search the reference among small frames; a generator of steps.
 
     Where `far` (n,) tells how far each face is from rest (`facerest`), it decides instead of the contrasts; inf means
     that no face is known there.
@@ -64,6 +78,8 @@ def search(
     show: how far the frame, warped to the reference, misses it, rms colour inside the mask; the error of a candidate is
     the mean over the `HARDEST` share of the frames to be reached.
     """
+    images, mask = [frame.image for frame in frames], frames[-1].mask
+    contrasts = np.array([frame.contrast for frame in frames])
     first = spread(len(images), CANDIDATES)
     middle = _half_open(contrasts)
     off = np.abs(contrasts - middle) if far is None else far

@@ -11,7 +11,7 @@ give the same bytes on any number of threads and after any interruption.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
@@ -119,10 +119,18 @@ def _first_pass(
     finished = len(files) - len(missing)
     if finished:
         yield Step("flow", finished, len(files))
-    for _ in in_order(make, same_size(source, missing, plan.reference.shape)):
+    for _ in in_order(make, _decoded(source, missing, plan)):
         finished += 1
         yield Step("flow", finished, len(files))
     return files
+
+
+def _decoded(source: FrameSource, indices: list[int], plan: FramePlan) -> Iterator[tuple[int, Image]]:
+    """Give frames with their indices; the reference, which was decoded before, is not decoded again."""
+    if plan.reference_index in indices:
+        yield plan.reference_index, plan.reference
+    others = [index for index in indices if index != plan.reference_index]
+    yield from same_size(source, others, plan.reference.shape)
 
 
 def _second_pass(plan: FramePlan, find: FlowFunction, files: list[Path]) -> Steps[list[Path]]:

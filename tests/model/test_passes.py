@@ -8,6 +8,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from morphspace.cache import read_result
 from morphspace.errors import BadInput
+from morphspace.face.detector import Detector
 from morphspace.face.faceframe import FaceFrame, identity_affine
 from morphspace.face.regions import face_mask, mouth_surroundings, rigid_region
 from morphspace.flow import methods
@@ -133,25 +134,54 @@ def test_steps_count_up_to_their_totals(clip, tmp_path):
         assert len({step.total for step in stage}) == 1
 
 
+class Counting:
+    """A source that counts how often each frame is decoded."""
+
+    def __init__(self, clip):
+        self.clip, self.names, self.digests = clip, clip.names, clip.digests
+        self.decoded = [0] * len(clip.names)
+
+    def images(self, indices):
+        for index, image in zip(indices, self.clip.images(indices), strict=True):
+            self.decoded[index] += 1
+            yield image
+
+
+def test_a_frame_is_decoded_once_to_look_at_it_and_once_for_its_flow(clip, tmp_path):
+    detector = Detector(lambda image: None, {"version": 1})
+    count = len(clip.names)
+    for settings in (replace(PLAIN, reference=None), replace(PLAIN, reference=None, detector=detector)):
+        source = Counting(clip)
+        built(source, tmp_path / str(settings.detector is None), settings)
+        assert source.decoded == [2] * count
+    source = Counting(clip)
+    built(source, tmp_path / "asked", PLAIN)
+    assert source.decoded == [1] * count
+    again = Counting(clip)
+    built(again, tmp_path / "asked", PLAIN)
+    assert again.decoded == [1] + [0] * (count - 1)  # the reference alone
+
+
 def test_of_a_long_clip_evenly_spread_frames_are_looked_at_for_the_reference(clip, tmp_path, monkeypatch):
     few = [0, 3, 5, 8]
     monkeypatch.setattr(build_module, "POOL", len(few))
     looked_at = []
     search = build_module.search
 
-    def searching(images, contrasts, mask, far=None):
-        place, errors = yield from search(images, contrasts, mask)
-        looked_at.append((images, contrasts, mask, place))
+    def searching(frames, far=None):
+        place, errors = yield from search(frames)
+        looked_at.append((frames, place))
         return place, errors
 
     monkeypatch.setattr(build_module, "search", searching)
     choice = built(clip, tmp_path, replace(PLAIN, reference=None)).choice
-    ((images, contrasts, mask, place),) = looked_at
+    ((frames, place),) = looked_at
     assert place != few[place]  # which of the four, and below which of the nine
-    for index, image, contrast in zip(few, images, contrasts, strict=True):
-        assert_allclose(image, clip.pictures[index], atol=1e-6)
-        assert contrast == pytest.approx(mouth_contrast(clip.pictures[index], mouth_surroundings(72, 60)))
-    assert_allclose(mask, face_mask(72, 60), atol=1e-6)
+    for index, frame in zip(few, frames, strict=True):
+        assert_allclose(frame.image, clip.pictures[index], atol=1e-6)
+        contrast = mouth_contrast(clip.pictures[index], mouth_surroundings(72, 60))
+        assert frame.contrast == pytest.approx(contrast)
+        assert_allclose(frame.mask, face_mask(72, 60), atol=1e-6)
     assert (choice.index, choice.name) == (few[place], clip.names[few[place]])
     assert "of 4 frames tried" in choice.reason
 

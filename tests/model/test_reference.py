@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
+from morphspace.face.regions import face_mask
 from morphspace.flow.baselines import LUMA, dis_medium, smoothed
 from morphspace.grid import warp
 from morphspace.model.reference import (
@@ -15,6 +16,7 @@ from morphspace.model.reference import (
     POOL,
     SMALL_SIDE_PX,
     TARGETS,
+    SmallFrame,
     mouth_contrast,
     search,
     shrunk,
@@ -50,8 +52,12 @@ def everywhere(images):
 
 
 def found_in(images, contrasts, mask=None, on_step=None):
+    return result_of(search(small_frames(images, contrasts, mask)), on_step)
+
+
+def small_frames(images, contrasts, mask=None):
     mask = everywhere(images) if mask is None else mask
-    return result_of(search(images, np.asarray(contrasts, np.float64), mask), on_step)
+    return [SmallFrame(image, mask, float(one)) for image, one in zip(images, contrasts, strict=True)]
 
 
 def errors_in(images, mask=None):
@@ -99,20 +105,19 @@ def test_a_half_open_mouth_between_the_evenly_spread_frames_is_found():
 
 
 def test_shrinking_keeps_the_shape_and_the_mean(picture):
-    image, mask = picture(240, 200), np.zeros((240, 200), np.float32)
-    mask[60:180, 50:150] = 1
-    small, small_mask = shrunk(image, mask)
-    assert small.shape == (120, SMALL_SIDE_PX, 3)
-    assert small_mask.shape == (120, SMALL_SIDE_PX)
-    assert_allclose(small.mean(axis=(0, 1)), image.mean(axis=(0, 1)), atol=1e-5)
-    assert small_mask.mean() == pytest.approx(0.25)
+    image = picture(240, 200)
+    small = shrunk(image, None)
+    assert small.image.shape == (120, SMALL_SIDE_PX, 3)
+    assert small.mask.shape == (120, SMALL_SIDE_PX)
+    assert_allclose(small.image.mean(axis=(0, 1)), image.mean(axis=(0, 1)), atol=1e-5)
+    assert small.mask.mean() == pytest.approx(face_mask(240, 200).mean(), abs=1e-5)
 
 
 def test_small_frames_are_not_enlarged(picture):
-    image, mask = picture(48, 40), np.ones((48, 40), np.float32)
-    small, small_mask = shrunk(image, mask)
-    assert_allclose(small, image, atol=1e-6)
-    assert small_mask.shape == mask.shape
+    image = picture(48, 40)
+    small = shrunk(image, None)
+    assert_allclose(small.image, image, atol=1e-6)
+    assert small.mask.shape == (48, 40)
 
 
 # the error
@@ -257,7 +262,7 @@ def test_rest_decides_where_a_frame_is_nearly_as_good_and_never_where_it_is_clea
     images = tinted(equally_far(longer))
     far = np.full(TARGETS, np.inf)  # no face is known but in two of them
     far[6], far[7] = 0.2, 3.0
-    place, errors = result_of(search(images, np.zeros(TARGETS), everywhere(images), far))
+    place, errors = result_of(search(small_frames(images, np.zeros(TARGETS)), far))
     ratio = errors[6] / min(errors.values())
     assert ABOUT_EQUAL < ratio < NEARLY_EQUAL or ratio > 1.3
     assert place == (6 if ratio < NEARLY_EQUAL else 7)
@@ -268,7 +273,7 @@ def test_the_faces_nearest_to_rest_between_the_evenly_spread_frames_are_tried():
     far = np.full(count, 2.0)
     far[between] = 0.1
     images = tinted(np.zeros((count, 4)))
-    place, _ = result_of(search(images, np.zeros(count), everywhere(images), far))
+    place, _ = result_of(search(small_frames(images, np.zeros(count)), far))
     assert place == between
 
 
