@@ -417,7 +417,7 @@ def test_settings_with_a_mask_can_be_compared_and_kept_in_a_set():
 
 
 def test_an_unknown_flow_is_refused_before_any_work(clip, tmp_path):
-    with pytest.raises(BadInput, match="no flow called 'magic'"):
+    with pytest.raises(BadInput, match="the flow is 'magic'"):
         built(clip, tmp_path / "work", replace(PLAIN, flow="magic"))
     assert not (tmp_path / "work").exists()
 
