@@ -16,7 +16,7 @@ from morphspace.grid import warp
 from morphspace.linear.quality import psnr_db
 from morphspace.model.model import MorphModel
 from morphspace.model.morph import Morph
-from morphspace.report.advice import head_path
+from morphspace.report.advice.build import head_path
 
 FIXED_POINT_STEPS = 20
 ROUND_TRIP_TARGET = (46.0, 32.0)  # dB, median and 10th percentile

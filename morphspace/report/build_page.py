@@ -15,7 +15,7 @@ from morphspace.face.regions import mouth_surroundings, rigid_region
 from morphspace.model.model import MorphModel
 from morphspace.model.passes import Build
 from morphspace.report import pictures
-from morphspace.report.advice import Case, advice_for, head_path
+from morphspace.report.advice.build import Case, advice_for, head_path
 from morphspace.report.components import Components, components_of
 from morphspace.report.frames import FrameFigures
 from morphspace.report.page import TIMES, Panel, fixed, markup, percent, render, signed

@@ -28,7 +28,7 @@ from morphspace.model.encode import check_components, energy_outside, first_comp
 from morphspace.model.keypoints import how_to_learn
 from morphspace.model.model import MorphModel
 from morphspace.outcome import versions, write_record
-from morphspace.report import mimic_advice
+from morphspace.report.advice import mimicry as advice
 from morphspace.report.mimic_page import PAIRS_SHOWN, MimicryResult, mimic_page
 from morphspace.report.set_page import CLIPPED_PERCENT
 from morphspace.sets.models import check_apart, check_landmarks
@@ -313,7 +313,7 @@ def written_mimicry(
     make_folder(folder / MIMIC_FRAMES)
     remove_unfinished(folder)
     drive = _drive(source, target, asked)
-    looks = mimic_advice.looks_for_faces(driver, source.model, target.model, detector)
+    looks = advice.looks_for_faces(driver, source.model, target.model, detector)
     settings = {
         "method": drive.method,
         "gain": drive.gain,
@@ -335,9 +335,7 @@ def written_mimicry(
         *driver.notes,
         *_size_note(source.model, target.model),
         *looks.notes,
-        *mimic_advice.advice_of(
-            source.model, target.model, made, loadings_sd, looks, drive.gain, drive.neutral
-        ),
+        *advice.advice_of(source.model, target.model, made, loadings_sd, looks, drive.gain, drive.neutral),
         *_clipped_note(made, drive.target),
         *_stale_note(folder / MIMIC_FRAMES, pictures),
     )

@@ -19,7 +19,7 @@ from morphspace.model.landmarks import LEAST_FACES
 from morphspace.model.model import MorphModel, load_model
 from morphspace.model.passes import COMPONENTS, MIN_FRAMES, Build
 from morphspace.outcome import versions
-from morphspace.report.advice import Case
+from morphspace.report.advice.build import Case
 from morphspace.report.build_page import write_build_page
 from morphspace.report.frames import measure_frames
 from morphspace.steps import Step, Steps, spread

@@ -16,7 +16,7 @@ from morphspace.io.clips import open_clip
 from morphspace.model.from_clip import ClipSettings, Crop
 from morphspace.model.passes import COMPONENTS, Build
 from morphspace.outcome import Outcome
-from morphspace.report.advice import advice_for
+from morphspace.report.advice.build import advice_for
 from morphspace.sets.models import written_model
 from morphspace.sets.protect import check_file
 from morphspace.steps import Steps

@@ -20,7 +20,6 @@ from morphspace.errors import BadInput
 from morphspace.face.detector import Detector, own_detector
 from morphspace.face.regions import WHOLE
 from morphspace.imitation import Comparison, compare
-from morphspace.imitation.advice import chance_words, mean_apart, size_words, strange_words
 from morphspace.imitation.faces_seen import FacesSeen, look_for_faces
 from morphspace.imitation.imitator import METHOD, imitator_of
 from morphspace.imitation.motions import Motion, at_rate_of, measured, opened, part_of, share_of
@@ -38,6 +37,7 @@ from morphspace.linear.posterior import Posterior
 from morphspace.model.encode import check_components, components_used
 from morphspace.model.model import MorphModel, load_model
 from morphspace.outcome import RECORD_NAME, Outcome, versions, write_record
+from morphspace.report.advice.imitation import chance_words, mean_apart, size_words, strange_words
 from morphspace.report.imitation_page import MeasuredImitation, imitation_page
 from morphspace.sets.protect import VIDEO_NAME, check_file, check_ours, no_empty_folders
 from morphspace.sets.sources import FRAME_RATE_HZ

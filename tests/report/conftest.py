@@ -12,7 +12,7 @@ import pytest
 
 from morphspace.arrays import Image
 from morphspace.model.passes import Build, BuildSettings, build_steps
-from morphspace.report.advice import FRAMES_FEW, Case
+from morphspace.report.advice.build import FRAMES_FEW, Case
 from morphspace.report.build_page import build_page
 from morphspace.report.frames import FrameFigures, measure_frames
 from morphspace.steps import result_of

@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from morphspace.report.advice import Case, advice_for
+from morphspace.report.advice.build import Case, advice_for
 from morphspace.report.build_page import build_page, write_build_page
 from morphspace.report.components import explained
 from morphspace.report.frames import measure_frames

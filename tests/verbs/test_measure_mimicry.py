@@ -278,7 +278,7 @@ def test_a_lag_at_the_end_of_the_search_is_said(work, model):
         table(work, "a", late, model),
         table(work, "b", later, model),
     )
-    assert any("10 frames, is the farthest that was tried" in note for note in outcome.warnings)
+    assert any("10 frames, is the longest that was tried" in note for note in outcome.warnings)
 
 
 def test_a_still_imitation_has_empty_cells_and_a_reason(work, model):

@@ -1,4 +1,4 @@
-"""What a person should know of a mimicry before using it: faces that were not seen, means that differ, motion lost."""
+"""Advice on a mimicry: frames without a face, mean faces that differ, motion that was lost, and what to do."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ OFF_CENTRE_SD = 2.0  # mean loading of a whole clip; the source's own training f
 
 @dataclass(frozen=True, eq=False)
 class Looks:
-    """How driving frames are looked at: by `detector`, or not at all; `means` are the points of both mean faces."""
+    """The detector of faces in driving frames, None without one; `means` are the face points of both mean faces."""
 
     detector: Detector | None
     means: tuple[FacePoints, FacePoints] | None
@@ -39,13 +39,13 @@ class Looks:
 def looks_for_faces(
     driver: Driver, source: MorphModel, target: MorphModel, detector: Detector | None
 ) -> Looks:
-    """Decide whether faces are looked for in the driving frames, and look at both mean faces. Says what was left out.
+    """Decide whether faces are detected in the driving frames, detect both mean faces, and note what was not checked.
 
-    A face that the detector does not know on the source's mean, such as a drawn one, it will not know in the frames.
+    A detector that finds no face in the source's mean, such as a drawn one, finds none in the frames either.
     """
     if detector is None:
         frames = (
-            "whether each driving frame shows a face, turned or not, and "
+            "whether each driving frame shows a face, whether its head is turned, and "
             if driver.is_pictures
             else "whether a head is turned, and "
         )
@@ -59,7 +59,7 @@ def looks_for_faces(
     means = (a, b) if a is not None and b is not None else None
     if a is None:
         words = (
-            f"the detector sees no face in the mean of {source.identity}: its frames were not looked at for faces and "
+            f"the detector sees no face in the mean of {source.identity}: its frames were not checked for faces and "
             "turned heads"
         )
         return Looks(None, None, (words,) if driver.is_pictures else ())
@@ -75,7 +75,7 @@ def advice_of(
     gain: float,
     neutral: Neutral,
 ) -> tuple[str, ...]:
-    """Give what should be read first, each with what to do about it."""
+    """Return the notes to read first, each with what to do about it."""
     strange = _strange_words(source, made)
     return (
         *strange,
@@ -102,7 +102,7 @@ def _means_words(source: MorphModel, target: MorphModel, looks: Looks) -> tuple[
         return ()
     return (
         f"the mean faces differ in expression: {' and '.join(words)}. What is neutral for one is not for the other, "
-        "and every face is off by the difference: name a resting frame of each with --neutral A_FRAME,B_FRAME, or "
+        "and every face has that difference in error: name a resting frame of each with --neutral A_FRAME,B_FRAME, or "
         "build both models from frames of like expressions",
     )
 
@@ -119,13 +119,13 @@ def _kept_words(
             f"{shown}, by {components} of its {target.rank} components: leave out -k, or give a larger number",
         )
     return (
-        f"{shown}: its frames hold little like it. Build its model from frames with more and stronger "
+        f"{shown}: its training frames have little of this motion. Build its model from frames with more and stronger "
         "expressions, or check the keypoints of both models",
     )
 
 
 def _strange_words(source: MorphModel, made: Sequence[FrameMade]) -> tuple[str, ...]:
-    """Say where the driving frames are evidently not of the source's person, camera and light."""
+    """Note driving frames that are evidently not of the source's person, camera and light."""
     seen = [one.outside_source for one in made if one.outside_source is not None]
     outside = float(np.median(seen)) if seen else 0.0
     if outside <= STRANGE:
@@ -134,7 +134,7 @@ def _strange_words(source: MorphModel, made: Sequence[FrameMade]) -> tuple[str, 
         f"the driving frames are evidently of another person, day or camera than {source.identity}: they lie "
         f"{outside:.1f} times the model's variance outside its space (about 0.2 where they do not; outside_source in "
         "quality.csv), so that the mimicry shows the difference between the faces more than their motion; give as "
-        "--src a model built of who is in the frames",
+        "--src a model of the person in the frames",
     )
 
 
@@ -150,14 +150,15 @@ def _centre_words(
     return (
         f"on average the frames drive {target.identity} to {mean[farthest]:+.1f} SD of pc{farthest + 1:03d}: the "
         f"driving clip holds mostly one expression, or light and pose are not those that {source.identity} was built "
-        "from. In the second case the difference is in every face: build the source's model from the driving clip",
+        "from. In the second case every face has that difference in error: build the source's model from the "
+        "driving clip",
     )
 
 
 def _flag_words(target: MorphModel, made: Sequence[FrameMade]) -> tuple[str, ...]:
     meanings = {
-        NO_FACE: "show no face to the detector: what was made of them means nothing",
-        TURNED: "show a head turned by more than 20 degrees: its far side is hidden, and the motion is less sure",
+        NO_FACE: "show no face to the detector: their mimicry means nothing",
+        TURNED: "show a head turned by more than 20 degrees: its far side is hidden, and the motion is less certain",
         BEYOND: f"ask for more than {target.identity} ever shows: at lids, brows and lips more than {OUT_OF_RANGE:.0%} "
         "of the eye distance is missing (missing_motion), or the mouth is asked to open wider than it ever does "
         "(opening_beyond). Build its model from frames that show such expressions, or "

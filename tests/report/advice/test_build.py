@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from morphspace.model.morph import Morph
-from morphspace.report.advice import Case, advice_for, head_path
+from morphspace.report.advice.build import Case, advice_for, head_path
 from morphspace.report.build_page import build_page
 
 SIZE = (64, 80)  # of the build's frames, px

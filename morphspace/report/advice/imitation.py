@@ -1,4 +1,4 @@
-"""What a person should know of a measured imitation before reading its figures, each with what to do about it."""
+"""Advice on a measured imitation: what to know before reading its measures, and what to do about it."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from morphspace.imitation.motions import Motion
 from morphspace.model.model import MorphModel
 
 MOVED_SD = (
-    2.0  # means farther apart than this tell of another face, light or camera, not of another expression
+    2.0  # means farther apart than this come from another face, light or camera, not from another expression
 )
 HARDLY = 0.05  # of the other's motion, root mean square
 SAME = 0.999  # a correlation with nothing left to find by a lag
@@ -20,7 +20,7 @@ SMALL_P = 0.02  # where no p can go below it, the reader must know: the least on
 
 
 def mean_apart(a_sd: LoadingTable, b_sd: LoadingTable, imitation: Motion, notes: list[str]) -> AnyArray:
-    """Give what brings the imitation's mean to the stimulus' (k,), or zeros where they are close; say so if not."""
+    """Return the offset of the stimulus' mean from the imitation's (k,), 0 where they are close; add a note if not."""
     apart = a_sd.mean(axis=0) - b_sd.mean(axis=0)
     farthest = int(np.abs(apart).argmax())
     if abs(apart[farthest]) <= MOVED_SD:
@@ -30,7 +30,7 @@ def mean_apart(a_sd: LoadingTable, b_sd: LoadingTable, imitation: Motion, notes:
         why = "what is neutral differs between the two models, or the imitation holds mostly one expression"
     notes.append(
         f"the imitation lies {abs(apart[farthest]):.1f} SD from the stimulus on average (pc{farthest + 1:03d}): {why}; "
-        "distances hold that offset, distance_centred_sd and correlations do not, and it is drawn without it"
+        "distances include that offset; distance_centred_sd and correlations do not, and the video is drawn without it"
     )
     return np.asarray(apart)
 
@@ -38,9 +38,9 @@ def mean_apart(a_sd: LoadingTable, b_sd: LoadingTable, imitation: Motion, notes:
 def strange_words(
     stimulus: Motion, imitation: Motion, model: MorphModel, faceless: Collection[str]
 ) -> list[str]:
-    """Say of each clip that is evidently not of the model's person, camera and light, what to do about it.
+    """Note each clip that is evidently not of the model's person, camera and light, and what to do about it.
 
-    Nothing of a role that is `faceless`, whose frames show no face at all.
+    A role in `faceless`, whose frames show no face at all, gets no note.
     """
     words = []
     for role, source, cure in (
@@ -48,26 +48,26 @@ def strange_words(
         (
             "imitation",
             imitation,
-            "build a model of who imitates, give it keypoints (morphspace keypoints), and name it with --imitator",
+            "build a model of the imitator, give it keypoints (morphspace keypoints), and name it with --imitator",
         ),
     ):
         if source.is_strange and role not in faceless:
             words.append(
                 f"the {role} {source.name} is evidently of another person, day or camera than {model.identity}: its "
                 f"frames lie {source.outside:.1f} times the model's variance outside its space (about 0.2 where they "
-                f"do not), so that the figures tell of the face more than of its motion; {cure}"
+                f"do not), so that the measures compare faces more than motions; {cure}"
             )
     return words
 
 
 def size_words(stimulus: LoadingTable, imitation: LoadingTable) -> list[str]:
-    """Say of plain loadings (n, k), (m, k) where one hardly moves beside the other."""
+    """Note loadings (n, k), (m, k) of which one hardly moves compared with the other."""
     sizes = {
         role: float(np.sqrt(values.var(axis=0).sum()))
         for role, values in (("stimulus", stimulus), ("imitation", imitation))
     }
     return [
-        f"the {role} hardly moves, {100 * size / sizes[other]:.1f} % of the {other}'s motion: what correlates with it "
+        f"the {role} hardly moves, {100 * size / sizes[other]:.1f} % of the {other}'s motion: a correlation with it "
         "may be noise"
         for role, size, other in (
             ("stimulus", sizes["stimulus"], "imitation"),
@@ -78,7 +78,7 @@ def size_words(stimulus: LoadingTable, imitation: LoadingTable) -> list[str]:
 
 
 def chance_words(comparison: Comparison) -> list[str]:
-    """Say where no p can be small, and where the best lag lies at the end of what was searched."""
+    """Note where no p can be small, and where the best lag is the longest that was searched."""
     notes = []
     baseline = comparison.baseline
     least = baseline.least
@@ -97,6 +97,7 @@ def chance_words(comparison: Comparison) -> list[str]:
     lag = comparison.measures["lag_frames"][-1]
     if lag in (comparison.lags[0], comparison.lags[-1]) and comparison.measures["correlation"][-1] < SAME:
         notes.append(
-            f"the best lag, {lag:.0f} frames, is the farthest that was tried: it may lie beyond, or there may be none"
+            f"the best lag, {lag:.0f} frames, is the longest that was tried: the true lag may be longer, or "
+            "there may be none"
         )
     return notes
