@@ -19,7 +19,7 @@ from morphspace.avatar.blend import Mixer
 from morphspace.avatar.common_grid import version_picture
 from morphspace.avatar.notes import notes_on
 from morphspace.avatar.prepared import Studio, studio_of
-from morphspace.avatar.settings import MOST_SHARPEN, AvatarSettings, Expression
+from morphspace.avatar.settings import FLAT, MOST_SHARPEN, AvatarSettings, Expression
 from morphspace.avatar.sharpness import WELL_INSIDE, Curve, curve, mean_curve, sharpened, sharpness
 from morphspace.cache import is_finished, read_result, result_file, write_result
 from morphspace.errors import BadInput
@@ -95,6 +95,30 @@ class Avatar:
     def judged(self) -> AnyArray:
         """Where (h, w), bool, the avatar's mean face shows what all have: face, and nobody's hair."""
         return self.studio.mixer(self.studio.reference).judged_picture > WELL_INSIDE
+
+    @property
+    def figures(self) -> dict[str, Any]:
+        """What was blended and what came of it, as plain JSON."""
+        model, sharpness = self.model, self.sharpness
+        left_out = sum((one.weights[self.weights > 0] == 0).any() for one in self.expressions)
+        return {
+            "model_id": model.model_id,
+            "identity": model.identity,
+            "identities": list(self.identities),
+            "weights": [float(weight) for weight in self.weights],
+            "expressions": len(self.expressions),
+            "expressions_with_one_left_out": int(left_out),
+            "components": model.rank,
+            "reference_identity": self.identities[self.reference_identity],
+            "surround": FLAT if self.surround is None else self.identities[self.surround],
+            "method": model.provenance["blend"]["method"],
+            "sharpen": self.sharpen,
+            "sharpness": {
+                "sources": [float(value) for value in sharpness["sources"]],
+                **{name: float(value) for name, value in sharpness.items() if name != "sources"},
+            },
+            "keypoints": None if model.faceframe is None else model.faceframe.points.tolist(),
+        }
 
     def versions(self, index: int) -> list[Image]:
         """Give the k aligned versions (h, w, 3) of expression `index`; the mean face of one that takes no part."""

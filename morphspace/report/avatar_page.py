@@ -8,18 +8,22 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from morphspace.arrays import AnyArray, Image
-from morphspace.avatar.distances import MeanDistances
+from morphspace.avatar import Avatar, AvatarSettings
+from morphspace.avatar.distances import MeanDistances, mean_face_distances
+from morphspace.avatar.settings import AUTO, EXPRESSION
+from morphspace.model.landmarks import LEAST_FACES
 from morphspace.model.model import MorphModel
 from morphspace.report import pictures
 from morphspace.report.components import Components, components_of, explained
 from morphspace.report.frames import small
 from morphspace.report.page import DASH, Panel, fixed, percent, render
-from morphspace.steps import spread
+from morphspace.steps import Step, Steps, spread
 
 SHEET_ROWS = 24  # at most; the work folder has all
 LEAST_SHARE_OF_SHEET = 0.25  # of its rows are kept for expressions with the most versions left out
@@ -80,6 +84,75 @@ class AvatarResult:
     def label(self, index: int) -> str:
         """Name an expression by its identity and its frame."""
         return f"{self.identities[self.sources[index]]}, {self.frames[index]}"
+
+
+def avatar_result(
+    avatar: Avatar, models: Sequence[MorphModel], settings: AvatarSettings
+) -> Steps[AvatarResult]:
+    """Gather what the page shows of a blend of models. Return an `AvatarResult`."""
+    used = np.array([one.weights for one in avatar.expressions])
+    picked = rows_shown(used, avatar.weights)
+    rows = []
+    for index in picked:
+        rows.append(
+            ExpressionRow(index, avatar.versions(index), avatar.blend(index), avatar.pixel_average(index))
+        )
+        yield Step("report", len(rows), len(picked))
+    return AvatarResult(
+        model=avatar.model,
+        identities=avatar.identities,
+        asked=avatar.weights,
+        sources=[one.source for one in avatar.expressions],
+        frames=[one.frame for one in avatar.expressions],
+        used=used,
+        plausibility=np.array([one.plausibility for one in avatar.expressions]),
+        rows=rows,
+        sharpness=avatar.sharpness,
+        sharpen=avatar.sharpen,
+        surround=_surround(avatar),
+        distances=mean_face_distances(models, avatar.model, avatar.judged),
+        notes=avatar.notes,
+        settings=_settings_shown(avatar, settings),
+    )
+
+
+def landmark_words(avatar: Avatar, has_detector: bool, path: Path) -> tuple[str, ...]:
+    """Return advice where the avatar, written to a path, has no landmarks."""
+    if avatar.model.landmarks is not None:
+        return ()
+    lacks = f"{avatar.model.identity} does not know its landmarks, which `mimic --method guided` wants"
+    count = len(avatar.expressions)
+    if has_detector or count < LEAST_FACES:
+        return (
+            f"{lacks}: they are learned from at least {LEAST_FACES} pictures with a face that is found, and {count} "
+            "expressions were blended; ask for more --expressions",
+        )
+    return (f"{lacks}: run `morphspace keypoints {path} --auto`",)
+
+
+def _surround(avatar: Avatar) -> str:
+    return "flat field" if avatar.surround is None else avatar.identities[avatar.surround]
+
+
+def _settings_shown(avatar: Avatar, settings: AvatarSettings) -> dict[str, str]:
+    count = "all" if settings.expressions is None else f"{settings.expressions}"
+    blend = avatar.model.provenance["blend"]
+    return {
+        "method": blend["method"] + (" (auto)" if settings.method == AUTO else ""),
+        "bound of each loading": f"{settings.max_sd:g} SD",
+        "expressions": f"{len(avatar.expressions)}; of each identity {count}"
+        + ("" if settings.expressions is None else ", by farthest-point sampling"),
+        "frames": "rendered by the models" if settings.clips is None else "of the clips",
+        "correspondence": "mean faces at rest"
+        + (", mouths in each expression" if settings.correspondence == EXPRESSION else ""),
+        "reference identity": avatar.identities[avatar.reference_identity],
+        "reference expression": avatar.expressions[avatar.reference].name,
+        "faceframe": settings.faceframe,
+        "surround": _surround(avatar),
+        "flow": settings.flow,
+        "sharpening": f"{avatar.sharpen:.2f}" + (" (auto)" if settings.sharpen is None else ""),
+        "components": f"{avatar.model.rank}",
+    }
 
 
 @dataclass(frozen=True)

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import contextlib
 import shutil
-from collections.abc import Sequence
+import tempfile
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 from morphspace.cache import work_folder
-from morphspace.errors import BadInput
+from morphspace.errors import BadInput, UnreadableFile
 from morphspace.face.detector import Detector, how_to_get_networks
 from morphspace.flow import methods
 from morphspace.io.clips import VIDEO_SUFFIXES, Clip, open_clip
@@ -194,3 +196,42 @@ def _found(clip: Clip, folder: Path, components: int) -> tuple[Path, MorphModel 
         if same:
             return path, model
         number += 1
+
+
+@contextlib.contextmanager
+def held_models(paths: Sequence[Path]) -> Iterator[list[Path]]:
+    """Give copies of model files for as long as they are needed, checked to be whole. Raises `BadInput`.
+
+    A model is read from its file as it is used. One that is written anew or cut short meanwhile would change under the
+    blend, or end the process.
+    """
+    with tempfile.TemporaryDirectory(prefix="morphspace-", ignore_cleanup_errors=True) as folder:
+        held = []
+        for number, path in enumerate(paths):
+            if path.suffix.lower() != MODEL_SUFFIX or path.is_dir():
+                raise BadInput(
+                    f"{path} is no {MODEL_SUFFIX} file: build a model of a clip first with `morphspace build-model`"
+                )
+            check_content(path)
+            copy = Path(folder) / f"{number}{MODEL_SUFFIX}"
+            try:
+                shutil.copyfile(path, copy)
+            except OSError as error:
+                raise UnreadableFile(
+                    f"cannot copy {path} to {folder}, where it is held while it is blended: {error.strerror or error}"
+                ) from error
+            if not _is_unchanged(copy):
+                raise UnreadableFile(
+                    f"{path} was changed while it was read ({copy.stat().st_size} bytes came of it): let the program "
+                    "that writes it finish, then start again"
+                )
+            held.append(copy)
+        yield held
+
+
+def _is_unchanged(copy: Path) -> bool:
+    try:
+        check_content(copy)
+    except BadInput:
+        return False
+    return True

@@ -37,6 +37,7 @@ from morphspace.grid import warp
 from morphspace.model.landmarks import LandmarkRegression
 from morphspace.model.model import Loadings
 from morphspace.model.morph import Morph
+from morphspace.sets import models as set_models
 from morphspace.steps import result_of
 from morphspace.transfer.neutral import Neutral
 from morphspace.verbs import blend_avatar
@@ -511,7 +512,7 @@ def test_a_model_file_that_is_cut_short_meanwhile_changes_nothing(saved, tmp_pat
 
 @pytest.mark.usefixtures("without_networks")
 def test_a_model_that_is_written_while_it_is_read_is_told(saved, tmp_path, monkeypatch):
-    monkeypatch.setattr(blend_avatar.shutil, "copyfile", lambda _, there: there.write_bytes(b"half"))
+    monkeypatch.setattr(set_models.shutil, "copyfile", lambda _, there: there.write_bytes(b"half"))
     request = blend_avatar.BlendAvatarRequest((str(saved["anna"]), str(saved["ben"])), tmp_path / "a.morph")
     with pytest.raises(BadInput, match="changed while it was read"):
         result_of(blend_avatar.run(request))

@@ -1,0 +1,287 @@
+"""A continuum as a set: its two ends read, its steps as drawings, and every step measured (ours)."""
+
+from __future__ import annotations
+
+import re
+import tempfile
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
+from functools import lru_cache
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from morphspace.arrays import AnyArray, LoadingVector
+from morphspace.avatar.pair import pair_model
+from morphspace.errors import BadInput
+from morphspace.flow.names import DEFAULT
+from morphspace.io.tables import read_loadings_table
+from morphspace.model.encode import STRANGE, encoded_frames, energy_outside, framed_for
+from morphspace.model.model import MorphModel, load_model
+from morphspace.outcome import versions
+from morphspace.sets.kept import digest_of_kept
+from morphspace.sets.manifest import Column
+from morphspace.sets.sources import LISTED, file_names
+from morphspace.steps import Step, Steps, in_order, single_threads
+from morphspace.stimuli.continuum import Line, Spacing, even_positions, spaced_positions
+from morphspace.stimuli.drawing import Drawing
+from morphspace.stimuli.stepping import change, difference, unevenness
+from morphspace.stimuli.table_checks import check_table
+from morphspace.storage import digest_of_file
+
+MODEL_SUFFIX = ".morph"
+TABLE_ROW = re.compile(r"(.+?\.csv):(.+)", re.IGNORECASE | re.DOTALL)
+PAIRS_KEPT = 8
+STEPS_NAME = "steps.csv"
+LINEAR = "linear"
+COLUMNS: Mapping[str, Column] = {
+    "series": Column("continuum, or linear: the control in even steps of loadings"),
+    "position": Column("Where on the line from the first end, 0, to the last, 1"),
+    "spacing": Column("In what the steps are equal; given: where they were asked for"),
+}
+
+
+@dataclass(frozen=True, eq=False)
+class ContinuumEnds:
+    """The line between the two ends, the file its model is or will be in, the inputs' digests, and what to note."""
+
+    line: Line
+    model_path: Path
+    model_sha256: str
+    inputs: Mapping[str, str]
+    notes: tuple[str, ...]
+
+
+def continuum_ends(
+    first: str,
+    last: str,
+    folder: Path,
+    model_path: Path | None = None,
+    crop: tuple[int, int, int, int] | None = None,
+    model: MorphModel | None = None,
+) -> Steps[ContinuumEnds]:
+    """Read the two ends of a continuum: two models, or two pictures or rows of tables that one model shows.
+
+    Parameters
+    ----------
+    folder
+        Where the model of two models will lie.
+    model_path
+        The model that shows both; None where the ends are two models.
+    crop
+        (x, y, w, h) px, cut out of pictures first.
+    model
+        The model of `model_path`, where it is open already.
+
+    Raises
+    ------
+    BadInput
+        Where the ends are of two kinds, or one of them cannot be read.
+    """
+    given = (first, last)
+    models = [end for end in given if end.lower().endswith(MODEL_SUFFIX)]
+    if model_path is None:
+        if len(models) < 2:
+            other = next(end for end in given if end not in models)
+            raise BadInput(
+                f"{other} is no model ({MODEL_SUFFIX}): give two models, or the model that shows both (--model)"
+            )
+        if crop is not None:
+            raise BadInput("a crop cuts pictures, and the ends are models: leave it out")
+        return (yield from _ends_of_pair((Path(first), Path(last)), folder))
+    if models:
+        raise BadInput(
+            f"{models[0]} is a model: leave out the model {model_path} for the faces of two models, or give "
+            "pictures or rows TABLE.csv:FRAME"
+        )
+    model = model or load_model(model_path)
+    loadings: list[LoadingVector] = []
+    inputs: dict[str, str] = {}
+    notes: list[str] = []
+    for role, end in zip(("first", "last"), given, strict=True):
+        row = TABLE_ROW.fullmatch(end)
+        found = _of_row(model, Path(row[1]), row[2]) if row else _of_picture(model, end, crop)
+        loadings.append(found[0])
+        inputs[role] = found[1]
+        notes += found[2]
+        yield Step("read", len(loadings), 2)
+    shortest = min(map(len, loadings))
+    if any(values[shortest:].any() for values in loadings):
+        shortest = max(map(len, loadings))  # what a table leaves out is 0
+    start, stop = (
+        np.pad(values, (0, shortest - len(values))) for values in (one[:shortest] for one in loadings)
+    )
+    digest = digest_of_kept(model_path)
+    return ContinuumEnds(Line(model, start, stop), model_path, digest, inputs, tuple(dict.fromkeys(notes)))
+
+
+def _of_row(model: MorphModel, path: Path, frame: str) -> tuple[LoadingVector, str, tuple[str, ...]]:
+    """Give the loadings (k,) of a row, the table's digest, and what to note."""
+    table = read_loadings_table(path)
+    notes = check_table(model, table, path)
+    if frame not in table.frame_names:
+        listed = ", ".join(table.frame_names[:LISTED])
+        raise BadInput(
+            f"{path} has no frame {frame!r}: its frames are {listed} and so on ({len(table.frame_names)} in all)"
+        )
+    values = table.loadings_sd[table.frame_names.index(frame)]
+    return values * model.sd[: len(values)], digest_of_kept(path), notes
+
+
+def _of_picture(
+    model: MorphModel, path: str, crop: tuple[int, int, int, int] | None
+) -> tuple[LoadingVector, str, tuple[str, ...]]:
+    """Give the loadings (k,) of a picture, its digest, and what to note."""
+    if path.lower().endswith(".csv"):
+        raise BadInput(f"{path} is a table: say which of its frames is meant, {path}:FRAME")
+    source = framed_for(model, (path,), crop)
+    if len(source.names) != 1:
+        raise BadInput(f"{path} holds {len(source.names)} frames: give one picture")
+    (encoded,) = encoded_frames(model, source)
+    loadings = encoded.loadings.values[0]
+    notes: tuple[str, ...] = ()
+    outside = energy_outside(encoded.morph - model.mean, model)
+    if outside > STRANGE:
+        notes += (
+            f"{Path(path).name} is unlike the faces {model.identity} was built from (it leaves {outside:.1f} times "
+            "their variance unexplained): the continuum starts or ends at what the model makes of it",
+        )
+    return loadings, source.file_digests[0], notes
+
+
+def _ends_of_pair(paths: tuple[Path, Path], folder: Path) -> Steps[ContinuumEnds]:
+    digests = tuple(digest_of_kept(path) for path in paths)
+    yield Step("pair", 0, 1)
+    with single_threads():
+        pair = _pair(paths, digests)
+    yield Step("pair", 1, 1)
+    first, last = np.asarray(pair.training.values)
+    path = folder / ("-".join(file_names([one.stem for one in paths])) + MODEL_SUFFIX)
+    with tempfile.TemporaryDirectory(prefix="morphspace-") as place:
+        pair.save(Path(place) / path.name)
+        digest = digest_of_file(Path(place) / path.name)
+    inputs = dict(zip(("first", "last"), digests, strict=True))
+    return ContinuumEnds(Line(pair, first, last), path, digest, inputs, ())
+
+
+@lru_cache(maxsize=PAIRS_KEPT)
+def _pair(paths: tuple[Path, ...], digests: tuple[str, ...]) -> MorphModel:
+    """Build the model of a pair, once for all jobs of a batch that ask for it."""
+    inputs = dict(zip(("first", "last"), digests, strict=True))
+    models = [load_model(path) for path in paths]
+    return pair_model(models, flow=DEFAULT, inputs=inputs, versions=versions()).model
+
+
+def spaced_series(
+    line: Line, positions: AnyArray, spacing: Spacing | None, *, linear: bool
+) -> Steps[dict[str, AnyArray]]:
+    """Return the positions of each series by its name: the continuum, and the linear control where it differs.
+
+    Parameters
+    ----------
+    positions
+        (n,) on the line, evenly spaced where they are to be spaced anew.
+    spacing
+        In what the steps are made equal; None to take the positions as they are.
+    linear
+        Whether to add the control in even steps of loadings.
+    """
+
+    yield Step("space", 0, 1)
+    found = positions
+    if spacing is not None:
+        with single_threads():
+            found = spaced_positions(line, len(positions) - 1, spacing).positions
+    yield Step("space", 1, 1)
+    even = even_positions(len(found) - 1)
+    control = {LINEAR: even} if linear and not np.array_equal(found, even) else {}
+    return {"continuum": found, **control}
+
+
+def continuum_drawings(line: Line, name: str, positions: AnyArray, spacing: str) -> list[Drawing]:
+    """Return the drawings of one series: the faces at these positions (n,) of the line."""
+    digits = max(2, len(str(len(positions) - 1)))
+    stem = "step" if name == "continuum" else name
+    sd = np.where(line.model.sd[: len(line.first)] > 0, line.model.sd[: len(line.first)], 1.0)
+    return [
+        Drawing(
+            name=f"{stem}_{place:0{digits}d}",
+            loadings_sd=(loadings / sd)[None],
+            told={
+                "series": name,
+                "step": place,
+                "position": float(position),
+                "spacing": spacing if name == "continuum" else "loadings",
+            },
+        )
+        for place, (position, loadings) in enumerate(zip(positions, line.loadings(positions), strict=True))
+    ]
+
+
+def measured_steps(
+    line: Line, series: Mapping[str, AnyArray], drawings: Sequence[Drawing], spacing: str
+) -> Steps[dict[str, list[Any]]]:
+    """Measure every step of each series: the columns of steps.csv (data_spec/steps-table.md)."""
+    mask = line.model.mask
+    jobs = [
+        (name, place, start, stop)
+        for name, positions in series.items()
+        for place, (start, stop) in enumerate(pairwise(map(float, positions)))
+    ]
+    names = {(drawing.told["series"], drawing.told["step"]): drawing.name for drawing in drawings}
+    line.crossfade(0.0)  # its ends are drawn before threads share them
+
+    def measured(job: tuple[str, int, float, float]) -> dict[str, Any]:
+        name, place, start, stop = job
+        found = change(line, start, stop, mask)
+        faded = line.crossfade(start), line.crossfade(stop)
+        return {
+            "series": name,
+            "step": place + 1,
+            "from": names[name, place],
+            "to": names[name, place + 1],
+            "from_position": start,
+            "to_position": stop,
+            **asdict(found),
+            "crossfade_ciede2000": difference(*faded, mask, "ciede2000"),
+            "crossfade_ssim": 1 - difference(*faded, mask, "ssim"),
+        }
+
+    rows = []
+    for row in in_order(measured, jobs):
+        rows.append(row)
+        yield Step("measure", len(rows), len(jobs))
+    table: dict[str, list[Any]] = {key: [row[key] for row in rows] for key in rows[0]}
+    sizes = np.array(_sizes(table, spacing))
+    relative = np.empty(len(rows))
+    for name in series:
+        own = np.array([row["series"] == name for row in rows])
+        mean = sizes[own].mean()
+        relative[own] = sizes[own] / mean if mean > 0 else 1.0
+    table["size_of_mean"] = relative.tolist()
+    return table
+
+
+def _sizes(table: Mapping[str, Sequence[Any]], spacing: str) -> list[float]:
+    """Give the size of each step in what the steps were made equal in."""
+    if spacing == "ssim":
+        return [1 - value for value in table["ssim"]]
+    if spacing in ("warp", "ciede2000"):
+        return list(table["warp_rms_px" if spacing == "warp" else spacing])
+    pairs = zip(table["from_position"], table["to_position"], strict=True)
+    return [stop - start for start, stop in pairs]
+
+
+def column_of(table: Mapping[str, Sequence[Any]], series: str, column: str) -> list[float]:
+    """Return a column of steps.csv for one series."""
+    return [value for name, value in zip(table["series"], table[column], strict=True) if name == series]
+
+
+def unevenness_of(table: Mapping[str, Sequence[Any]]) -> dict[str, float]:
+    """Give how far the step furthest from the mean is from it, for each series."""
+    return {
+        name: unevenness(np.array(column_of(table, name, "size_of_mean")))
+        for name in dict.fromkeys(table["series"])
+    }

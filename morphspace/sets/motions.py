@@ -1,0 +1,195 @@
+"""Recorded motion as data: read from tables of loadings, worked on, and described for a manifest (ours)."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from morphspace.arrays import AnyArray
+from morphspace.errors import BadInput, ReferenceMismatch
+from morphspace.io.tables import read_loadings_table
+from morphspace.model.model import MorphModel
+from morphspace.sets.kept import digest_of_kept
+from morphspace.sets.manifest import Column
+from morphspace.sets.planned import KEPT_STEMS
+from morphspace.sets.sources import FRAME_RATE_HZ, file_names
+from morphspace.steps import Step, Steps
+from morphspace.stimuli.motion_words import GUIDED
+from morphspace.stimuli.operations import Motion, Operation, operations_of, worked
+from morphspace.stimuli.table_checks import check_table
+from morphspace.stimuli.trajectory import step_lengths
+
+LEAST_FRAMES = 2  # of a motion
+JUMP = 1.0 + 1e-6  # median steps: a loop that closes with more jumps
+STEP_DIGITS = 6
+COLUMNS: Mapping[str, Column] = {
+    "tables": Column("The tables of loadings the motion was made from"),
+    "operations": Column("What was done to them, in this order"),
+    "ends": Column(
+        "closed: the last frame leads on to the first, and the motion may be shown in a loop; else open"
+    ),
+    "duration_s": Column("How long the frames are shown once", "s"),
+    "largest_step": Column("Largest step from frame to frame, as the model measures faces", "median steps"),
+    "closing_step": Column("Step from the last frame to the first, likewise", "median steps"),
+}
+
+
+@dataclass(frozen=True, eq=False)
+class MadeMotions:
+    """The motions that come of some tables: the tables' `names` and digests (`inputs`), and notes to act on."""
+
+    names: tuple[str, ...]
+    motions: tuple[Motion, ...]
+    operations: tuple[Operation, ...]
+    inputs: Mapping[str, str]
+    notes: tuple[str, ...]
+
+
+def made_motions(
+    model: MorphModel,
+    tables: Sequence[Path],
+    words: Sequence[str | Mapping[str, Any]] = (),
+    guide_path: Path | None = None,
+    frame_rate_hz: float | None = None,
+    seed: int = 0,
+) -> Steps[MadeMotions]:
+    """Read the motions of tables and do the operations to them. Return `MadeMotions`.
+
+    Parameters
+    ----------
+    words
+        The operations as words or mappings (`stimuli.motion_words`).
+    guide_path
+        The table whose timing is taken, or with whose motion a single table is compared.
+    frame_rate_hz
+        Of the tables; None for what they say.
+
+    Raises
+    ------
+    BadInput
+        Where a table, an operation or a number cannot be used.
+    """
+    operations = operations_of(words)
+    if not tables:
+        raise BadInput("no table was given: give the loadings of at least one motion (.csv)")
+    if seed < 0:
+        raise BadInput(f"a seed of {seed} cannot be used: give a whole number of at least 0")
+    if frame_rate_hz is not None and not 0 < frame_rate_hz <= 1000:
+        raise BadInput(f"a frame rate of {frame_rate_hz} Hz cannot be shown: give one above 0, at most 1000")
+    paths = [*tables, *([] if guide_path is None else [guide_path])]
+    read = []
+    for path in paths:
+        read.append((_guide if path is guide_path else _motion)(path, model, frame_rate_hz))
+        yield Step("read", len(read), len(paths))
+    names = _names(tables)
+    found = [motion for motion, _ in read]
+    _check_components(found, paths)
+    guide = None if guide_path is None else found.pop()
+    if guide is not None and not any(one.word in GUIDED for one in operations):
+        raise BadInput(
+            f"{guide_path} is the guide, and no operation takes one: add {' or '.join(GUIDED)}, or leave it "
+            "out"
+        )
+    motions = [replace(motion, name=name) for motion, name in zip(found, names, strict=True)]
+    weights = model.sd[: motions[0].loadings_sd.shape[1]]
+    done = worked(motions, operations, weights, guide, seed)
+    inputs = {f"tables/{name}": digest_of_kept(path) for name, path in zip(names, tables, strict=True)}
+    if guide_path is not None:
+        inputs["guide"] = digest_of_kept(guide_path)
+    notes = [note for _, said in read for note in said]
+    notes += [note for motion in done for note in _notes(motion, weights)]
+    return MadeMotions(names, done, operations, inputs, tuple(dict.fromkeys(notes)))
+
+
+def _motion(path: Path, model: MorphModel, rate_hz: float | None) -> tuple[Motion, tuple[str, ...]]:
+    """Read a motion and check that it belongs to the model; give what to note of it too."""
+    table = read_loadings_table(path)
+    notes = check_table(model, table, path)
+    if len(table.frame_names) < LEAST_FRAMES:
+        raise BadInput(
+            f"{path} has {len(table.frame_names)} frames, a motion has at least {LEAST_FRAMES}: give a table of a clip"
+        )
+    told = rate_hz or (table.document or {}).get("frame_rate_hz") or model.provenance.get("frame_rate_hz")
+    if not told:
+        notes += (f"{path} does not tell its frame rate: {FRAME_RATE_HZ:g} Hz is taken; give --frame-rate",)
+    return Motion(path.stem, table.loadings_sd, float(told or FRAME_RATE_HZ)), notes
+
+
+def _guide(path: Path, model: MorphModel, rate_hz: float | None) -> tuple[Motion, tuple[str, ...]]:
+    """Read the guide; somebody else's motion first has to become one of this face."""
+    try:
+        return _motion(path, model, rate_hz)
+    except ReferenceMismatch as error:
+        raise ReferenceMismatch(
+            f"the guide {path} belongs to another model than that of {model.identity}: let its motion drive this model "
+            "with `morphspace mimic`, and give the loadings that come of it"
+        ) from error
+
+
+def _check_components(motions: Sequence[Motion], paths: Sequence[Path]) -> None:
+    first = motions[0].loadings_sd.shape[1]
+    for motion, path in zip(motions, paths, strict=True):
+        if motion.loadings_sd.shape[1] != first:
+            raise BadInput(
+                f"{paths[0]} has {first} components, {path} has {motion.loadings_sd.shape[1]}: encode both with the "
+                "whole model"
+            )
+
+
+def _names(paths: Sequence[Path]) -> tuple[str, ...]:
+    """Give each table a name of its own, fit for a file: NAME, NAME_2, NAME_3 where several are called alike.
+
+    One that is called as every set's own table is, `loadings`, goes by the name of its folder.
+    """
+    kept = [path.stem.casefold() in KEPT_STEMS and bool(path.parent.name) for path in paths]
+    words = [path.parent.name if named else path.stem for path, named in zip(paths, kept, strict=True)]
+    names: list[str] = []
+    for stem in file_names(words):
+        name, number = stem, 1
+        while name.casefold() in (taken.casefold() for taken in names):
+            number += 1
+            name = f"{stem}_{number}"
+        names.append(name)
+    return tuple(names)
+
+
+def _steps(motion: Motion, weights: AnyArray) -> tuple[float, float, float]:
+    """Give the median and the largest step of a motion, and that from its last frame to its first."""
+    steps = step_lengths(motion.loadings_sd, weights)
+    closing = step_lengths(motion.loadings_sd[[-1, 0]], weights)
+    return float(np.median(steps)), float(steps.max()), float(closing[0])
+
+
+def _notes(motion: Motion, weights: AnyArray) -> tuple[str, ...]:
+    median, _, closing = _steps(motion, weights)
+    if motion.ends == "open" or closing <= JUMP * median:
+        return ()
+    far = f"by {closing / median:.3g} median steps" if median > 0 else "though it mostly stands still"
+    return (
+        f"{motion.name} jumps {far} where the loop closes: give the loop more seconds, or none, and it takes what it "
+        "needs",
+    )
+
+
+def _share(step: float, median: float) -> float | None:
+    return round(step / median, STEP_DIGITS) if median > 0 else None
+
+
+def told_of(made: MadeMotions, motion: Motion, weights: AnyArray, seed: int) -> dict[str, Any]:
+    """Return what the manifest says of a motion (`COLUMNS`); `weights` (k,) are the SD of its loadings."""
+    median, largest, closing = _steps(motion, weights)
+    told: dict[str, Any] = {
+        "tables": " ".join(made.names),
+        "operations": " ".join(map(str, made.operations)),
+        "ends": motion.ends,
+        "duration_s": motion.duration_s,
+        "largest_step": _share(largest, median),
+        "closing_step": _share(closing, median),
+    }
+    if any(one.word.startswith("scramble") for one in made.operations):
+        told["seed"] = seed
+    return told
