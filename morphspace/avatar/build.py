@@ -23,7 +23,7 @@ from morphspace.avatar.settings import FLAT, MOST_SHARPEN, AvatarSettings, Expre
 from morphspace.avatar.sharpness import WELL_INSIDE, Curve, curve, mean_curve, sharpened, sharpness
 from morphspace.cache import is_finished, read_result, result_file, write_result
 from morphspace.errors import BadInput
-from morphspace.face.faceframe import RegistrationKind
+from morphspace.face.faceframe import FaceFrame, RegistrationKind
 from morphspace.grid.warp import move_points
 from morphspace.model.keypoints import affine_between, lip_of, reference_to_mean, required_faceframe
 from morphspace.model.model import MorphModel
@@ -314,7 +314,7 @@ def _build(
         points = _faceframe_in(studio, source, chosen[index][1])
         asked = replace(
             asked,
-            faceframe=required_faceframe(studio.cast.models[source]).moved(points),
+            faceframe=FaceFrame.at(points),
             faceframe_index=index,
         )
     build = yield from build_steps(frames, asked, work_folder, _provenance(studio, frames, amount))
@@ -322,7 +322,7 @@ def _build(
     if model.faceframe is None:
         source, frame = chosen[build.choice.index]
         points = reference_to_mean(model, _faceframe_in(studio, source, frame))
-        model = model.with_faceframe(required_faceframe(studio.cast.models[source]).moved(points))
+        model = model.with_faceframe(FaceFrame.at(points))
     if not isinstance(model.provenance.get("keypoints"), Mapping) and model.faceframe is not None:
         origin = {"source": "blend", "lip": lip_of(studio.cast.models[0]), "on": "mean"}
         model = model.with_faceframe(model.faceframe, origin)

@@ -97,7 +97,7 @@ def places_on(models: Sequence[MorphModel], faceframe: FaceFrame) -> list[Affine
 def mean_faceframe(models: Sequence[MorphModel], weights: AnyArray) -> FaceFrame:
     """Give the weighted mean of the identities' faceframes."""
     points = [required_faceframe(model).points for model in models]
-    return required_faceframe(models[0]).moved(np.tensordot(weights, np.array(points), 1))
+    return FaceFrame.at(np.tensordot(weights, np.array(points), 1))
 
 
 def common_face(models: Sequence[MorphModel], keys: Sequence[str], reference: int, flow: str) -> CommonFace:

@@ -18,7 +18,7 @@ from morphspace.avatar.common_grid import common_face, placed
 from morphspace.avatar.selection import labels_of, model_key
 from morphspace.avatar.settings import check_models
 from morphspace.errors import BadInput
-from morphspace.face.faceframe import identity_affine
+from morphspace.face.faceframe import FaceFrame, identity_affine
 from morphspace.face.mesh import RIGID_POINTS
 from morphspace.face.registration import fitted_similarity
 from morphspace.grid import warp
@@ -97,7 +97,7 @@ def pair_model(
     ]
     mean_morph = Morph(mean, (height, width), reference_id)
     reference = np.clip(mean_morph.render(), 0, 1)
-    faceframe = required_faceframe(home).moved(warp.move_points(mean_field, required_faceframe(home).points))
+    faceframe = FaceFrame.at(warp.move_points(mean_field, required_faceframe(home).points))
     labels = labels_of(models, keys)
     provenance = {
         **_provenance(models, labels, inputs, versions),

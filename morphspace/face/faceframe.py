@@ -13,6 +13,7 @@ from typing import Literal
 import numpy as np
 
 from morphspace.arrays import Affine, Image, Points
+from morphspace.errors import BadInput
 from morphspace.grid import warp
 
 RegistrationKind = Literal["none", "similarity", "affine"]
@@ -23,22 +24,32 @@ REGISTRATION_KINDS: tuple[RegistrationKind, ...] = ("none", "similarity", "affin
 class FaceFrame:
     """Nagle's faceframe: three points (x, y) px that place a face (sections 3 and 4, step 4).
 
-    `right_eye` is the subject's right, on the image's left.
+    `right_eye` is the subject's right, on the image's left. Raises `BadInput` for points that are not finite, and for
+    both eyes in one place. A head may be turned or tilted, so nothing else is asked of the points here; readers put the
+    eyes in order (`io.sidecars.eyes_in_order`) and check that the face stands upright (`model.keypoints`).
     """
 
     right_eye: tuple[float, float]
     left_eye: tuple[float, float]
     philtrum: tuple[float, float]
 
+    def __post_init__(self) -> None:
+        points = self.points
+        if points.shape != (3, 2) or not np.isfinite(points).all():
+            raise BadInput("a faceframe is not three finite points x,y: mark it again")
+        if (points[0] == points[1]).all():
+            raise BadInput(f"a faceframe has both eyes at {points[0, 0]:g},{points[0, 1]:g}: mark it again")
+
+    @classmethod
+    def at(cls, points: Points) -> FaceFrame:
+        """Make the faceframe of three points (3, 2) px: right eye, left eye, philtrum."""
+        (ax, ay), (bx, by), (cx, cy) = np.asarray(points, np.float64).tolist()
+        return cls((ax, ay), (bx, by), (cx, cy))
+
     @property
     def points(self) -> Points:
         """The three points in order, (3, 2) float64 px."""
         return np.array([self.right_eye, self.left_eye, self.philtrum], np.float64)
-
-    def moved(self, points: Points) -> FaceFrame:
-        """Give a faceframe with these three points (3, 2)."""
-        right, left, lip = (tuple(map(float, point)) for point in points)
-        return FaceFrame(right, left, lip)  # type: ignore[arg-type]
 
 
 @dataclass(frozen=True, eq=False)

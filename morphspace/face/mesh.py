@@ -113,8 +113,7 @@ class FacePoints:
             self.points[list(LEFT_LIDS)].mean(axis=0),
             self.points[PHILTRUM],
         ]
-        right, left, lip = ((float(x), float(y)) for x, y in three)
-        return FaceFrame(right, left, lip)
+        return FaceFrame.at(np.array(three))
 
     @property
     def interocular_px(self) -> float:

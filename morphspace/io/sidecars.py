@@ -29,38 +29,61 @@ POINT_NAMES = ("right_eye", "left_eye", "philtrum")
 TEXT_KEYS = ("identity", "consent", "licence")
 
 
+def eyes_in_order(points: Points, origin: str) -> tuple[Points, tuple[str, ...]]:
+    """Put the two eyes of three marked points in order: the subject's right eye first.
+
+    In an upright face the subject's right eye is on the picture's left, and programs number the eyes either way. So x
+    decides for every reader, whatever the order or the names in a file.
+
+    Parameters
+    ----------
+    points
+        (3, 2) px: two eyes and the philtrum or lip.
+    origin
+        Names the points in messages.
+
+    Returns
+    -------
+    The points (3, 2) float64, a new array; and a note where the eyes were exchanged.
+
+    Raises
+    ------
+    BadInput
+        The points are not three finite pairs, or the eyes have the same x.
+    """
+    points = np.array(points, np.float64)
+    if points.shape != (3, 2) or not np.isfinite(points).all():
+        raise BadInput(f"{origin}: the three points are not three finite pairs x,y: mark them again")
+    if (points[0] == points[1]).all():
+        raise BadInput(f"{origin}: both eyes are at {points[0, 0]:g},{points[0, 1]:g}: mark them again")
+    if points[0, 0] == points[1, 0]:
+        raise BadInput(
+            f"{origin}: both eyes are at x {points[0, 0]:g}, one above the other: mark them again, or turn the picture "
+            "upright"
+        )
+    if points[0, 0] < points[1, 0]:
+        return points, ()
+    note = f"{origin}: the eyes were exchanged, since the subject's right eye is on the picture's left"
+    return points[[1, 0, 2]], (note,)
+
+
 @dataclass(frozen=True, eq=False)
 class MarkedFaceframe:
     """Three points marked in one image: `points` (3, 2) px, the rows right eye, left eye, philtrum.
 
     `image` names the picture they were marked in, `size` is its (width, height) px, or None where it is not
-    recorded. Right is the subject's own right, on the left of the picture. Raises `BadInput` for points that
-    are not (3, 2) and finite, lie outside the picture, or are in mirrored order (right eye to the right of
-    the left eye).
+    recorded. The eyes are put in order by `eyes_in_order`; `notes` say so. Raises `BadInput` as that does, and for
+    points outside the picture.
     """
 
     image: str
     points: Points
     size: tuple[int, int] | None = None
+    notes: tuple[str, ...] = field(default=(), init=False)
 
     def __post_init__(self) -> None:
-        points = np.array(self.points, np.float64)
-        if points.shape != (3, 2) or not np.isfinite(points).all():
-            raise BadInput(f"the faceframe of {self.image} is not three finite (x, y) points: mark it again")
-        if (points[0] == points[1]).all():
-            raise BadInput(
-                f"the faceframe of {self.image} has both eyes at {points[0, 0]:g},{points[0, 1]:g}: mark them again"
-            )
-        if points[0, 0] == points[1, 0]:
-            raise BadInput(
-                f"the faceframe of {self.image} has both eyes at x {points[0, 0]:g}, one above the other: mark them "
-                "again, or turn the picture upright"
-            )
-        if points[0, 0] > points[1, 0]:
-            raise BadInput(
-                f"the faceframe of {self.image} has the right eye at x {points[0, 0]:g} and the left eye "
-                f"at x {points[1, 0]:g}: right is the subject's right, on the left of the picture; swap them"
-            )
+        points, notes = eyes_in_order(self.points, f"the faceframe of {self.image}")
+        object.__setattr__(self, "notes", notes)
         if self.size is not None:
             outside = ((points < -0.5) | (points > np.array(self.size) - 0.5)).any(axis=1)
             if outside.any():

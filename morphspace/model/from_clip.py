@@ -104,7 +104,8 @@ def build_clip(clip: Clip, asked: ClipSettings, work_folder: Path) -> Steps[tupl
             f"{framing.scaled_size[1]} and cropped to the middle {framing.size[0]}x{framing.size[1]}"
         )
     mask, mask_digest = _mask(asked.mask, framing, clip.size)
-    faceframe, faceframe_index = _faceframe(clip, framing)
+    faceframe, faceframe_index, faceframe_notes = marked_faceframe(clip, framing)
+    notes += faceframe_notes
     settings = BuildSettings(
         components=asked.components,
         registration=asked.registration,
@@ -163,10 +164,15 @@ def _index_of(reference: str, clip: Clip) -> int:
     )
 
 
-def _faceframe(clip: Clip, framing: Framing) -> tuple[FaceFrame | None, int | None]:
+def marked_faceframe(clip: Clip, framing: Framing) -> tuple[FaceFrame | None, int | None, tuple[str, ...]]:
+    """Return the faceframe of a clip's sidecar at the model's size, the index of its frame, and notes on it.
+
+    The first two are None where no faceframe is marked. Raises `BadInput` for points outside the picture, or too close.
+    """
     marked = clip.sidecar.faceframe
     if marked is None:
-        return None, None
+        return None, None, ()
+    notes = marked.notes
     marked = MarkedFaceframe(marked.image, marked.points, clip.size)  # checks that it lies in the picture
     points = apply_affine(inverse_affine(framing.to_source), marked.points)
     width, height = np.hypot(*(points[1] - points[0])), np.hypot(*(points[2] - points[:2].mean(axis=0)))
@@ -175,8 +181,7 @@ def _faceframe(clip: Clip, framing: Framing) -> tuple[FaceFrame | None, int | No
             f"the faceframe of {marked.image} is {width:.1f} px from eye to eye and {height:.1f} px from eyes to "
             f"philtrum at the model's size, at least {LEAST_FACEFRAME_PX:g} px are needed: mark it again"
         )
-    right, left, lip = (tuple(map(float, point)) for point in points)
-    return FaceFrame(right, left, lip), _index_of(marked.image, clip)  # type: ignore[arg-type]
+    return FaceFrame.at(points), _index_of(marked.image, clip), notes
 
 
 def _provenance(

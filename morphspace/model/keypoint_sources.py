@@ -14,7 +14,7 @@ from morphspace.errors import BadInput
 from morphspace.face.detector import Detector
 from morphspace.face.faceframe import FaceFrame
 from morphspace.face.mesh import LANDMARKS, LEFT_LIDS, RIGHT_LIDS, UPPER_LIP_BOTTOM
-from morphspace.io.templates import LipName, YAxis, read_marked_points
+from morphspace.io.points import Lip, YAxis, read_marked_points
 from morphspace.model.keypoints import (
     TURN_UPRIGHT,
     WIDE_SPREAD,
@@ -73,7 +73,7 @@ def detected_keypoints(model: MorphModel, detector: Detector) -> Steps[FoundKeyp
 
 
 def given_keypoints(
-    model: MorphModel, points: Points, lip: LipName | None = None, on: Marked = "mean"
+    model: MorphModel, points: Points, lip: Lip | None = None, on: Marked = "mean"
 ) -> FoundKeypoints:
     """Check points (3, 2) px that a person gave, and carry them to the mean face. Raises `BadInput`."""
     faceframe, notes = _on_mean(model, np.array(points, np.float64), on, "--set", None)
@@ -82,7 +82,7 @@ def given_keypoints(
 
 
 def read_keypoints(
-    model: MorphModel, path: Path, lip: LipName | None = None, y_axis: YAxis = "auto", on: Marked = "mean"
+    model: MorphModel, path: Path, lip: Lip | None = None, y_axis: YAxis = "auto", on: Marked = "mean"
 ) -> FoundKeypoints:
     """Read marked points from a file and carry them to the mean face. Raises `BadInput`."""
     height = framing_of(model).source_size[1] if on == "reference" else model.size[1]
@@ -100,7 +100,7 @@ def read_keypoints(
     return FoundKeypoints(faceframe, origin, (f"read as {marked.scheme}",), marked.notes + notes)
 
 
-def _turned_words(path: Path, height: int, lip: LipName | None, y_axis: YAxis, points: Points) -> str | None:
+def _turned_words(path: Path, height: int, lip: Lip | None, y_axis: YAxis, points: Points) -> str | None:
     """Say how to count y in the file the other way, where its face would then stand upright in the picture."""
     is_turned = y_axis == "up"
     other: YAxis = "auto" if is_turned else "up"

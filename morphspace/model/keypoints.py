@@ -9,7 +9,7 @@ landmarks of a face lie for given loadings (`landmarks.learn_landmarks`).
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, Literal, TypeAlias
+from typing import Any
 
 import numpy as np
 
@@ -21,12 +21,12 @@ from morphspace.face.mesh import POINT_COUNT
 from morphspace.face.regions import region_mask
 from morphspace.grid import warp
 from morphspace.io.framing import Framing
+from morphspace.io.points import Lip
+from morphspace.io.sidecars import eyes_in_order
 from morphspace.model.landmarks import LEAST_FACES, LandmarkRegression, learn_landmarks
 from morphspace.model.model import MorphModel
 from morphspace.steps import Step, Steps, spread
 
-Lip: TypeAlias = Literal["philtrum", "upper-lip"]
-"""What the third point marks: the centre of the philtrum (Nagle), or the bottom of the upper lip (WebMorph)."""
 LIPS: tuple[Lip, ...] = ("philtrum", "upper-lip")
 POINT_NAMES = ("right eye", "left eye", "philtrum")
 
@@ -83,15 +83,7 @@ def checked_faceframe(
     `BadInput` for points outside the face, not finite, repeated, on one line, upside down or too close; `origin` names
     them, `if_outside` and `if_upside_down` say what to do about it.
     """
-    points = np.asarray(points, np.float64)
-    if points.shape != (3, 2) or not np.isfinite(points).all():
-        raise BadInput(f"{origin}: the three points are not three finite pairs x,y: mark them again")
-    notes: tuple[str, ...] = ()
-    if points[0, 0] > points[1, 0]:
-        points = points[[1, 0, 2]]
-        notes = (
-            f"{origin}: the eyes were exchanged, since the subject's right eye is on the picture's left",
-        )
+    points, notes = eyes_in_order(points, origin)
     for name, (x, y) in zip(POINT_NAMES, points.tolist(), strict=True):
         if not (-0.5 <= x <= size[0] - 0.5 and -0.5 <= y <= size[1] - 0.5):
             raise BadInput(
@@ -99,8 +91,7 @@ def checked_faceframe(
                 f"{if_outside}"
             )
     _check_triangle(points, origin, if_upside_down)
-    found = FaceFrame((0.0, 0.0), (0.0, 0.0), (0.0, 0.0)).moved(points)
-    return found, notes
+    return FaceFrame.at(points), notes
 
 
 def _check_triangle(points: Points, origin: str, if_upside_down: str = TURN_UPRIGHT) -> None:
@@ -131,8 +122,6 @@ def affine_between(source: FaceFrame, target: FaceFrame) -> Affine:
     Raises `BadInput` where one of them does not span a face: points repeated, on one line, mirrored, too close.
     """
     for faceframe, name in ((source, "the source's faceframe"), (target, "the target's faceframe")):
-        if not np.isfinite(faceframe.points).all():
-            raise BadInput(f"{name} is not finite: mark it again")
         _check_triangle(faceframe.points, name)
     design = np.column_stack([source.points, np.ones(3)])
     return np.asarray(np.linalg.solve(design, target.points).T, np.float64)

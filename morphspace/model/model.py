@@ -514,7 +514,4 @@ def _landmarks(arrays: Mapping[str, AnyArray], entry: Mapping[str, Any] | None) 
 def _faceframe(entry: Mapping[str, Any] | None) -> FaceFrame | None:
     if entry is None:
         return None
-    right, left, lip = (
-        (float(x), float(y)) for x, y in (entry["right_eye"], entry["left_eye"], entry["philtrum"])
-    )
-    return FaceFrame(right, left, lip)
+    return FaceFrame.at(np.array([entry[name] for name in ("right_eye", "left_eye", "philtrum")]))

@@ -303,7 +303,7 @@ def _mean_shape(
     mean_inverse = invert_mean_shape(mean_field)
     faceframe = _faceframe_on_mean(settings, files, registrations, mean_field)
     masked = on_reference.masked
-    place = faceframe or (masked and masked.moved(warp.move_points(mean_field, masked.points)))
+    place = faceframe or (masked and FaceFrame.at(warp.move_points(mean_field, masked.points)))
     mask = regions.mask_on_mean(settings.mask, mean_inverse, place)
     digests = [digest_of_array(plan.reference), digest_of_array(mean_inverse)]
     return _MeanShape(registrations, mean_inverse, faceframe, mask, digest_of_json(digests)[:16])
@@ -387,7 +387,7 @@ def _faceframe_on_mean(
         registration: Affine = registrations[settings.faceframe_index]
         points = warp.apply_affine(warp.inverse_affine(registration), points)
         points = warp.move_points(warp.invert(flow), points)
-    return settings.faceframe.moved(warp.move_points(mean_field, points))
+    return FaceFrame.at(warp.move_points(mean_field, points))
 
 
 @dataclass(frozen=True, eq=False)

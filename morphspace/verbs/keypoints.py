@@ -11,7 +11,7 @@ import numpy as np
 from morphspace.errors import BadInput
 from morphspace.face.detector import Detector, load_detector
 from morphspace.io.images import write_image
-from morphspace.io.templates import LipName, YAxis
+from morphspace.io.points import Lip, YAxis
 from morphspace.model.file import check_content
 from morphspace.model.keypoint_sources import (
     Marked,
@@ -41,7 +41,7 @@ class KeypointsRequest:
     automatic: bool = False
     points: tuple[tuple[float, float], ...] | None = None
     file: Path | None = None
-    lip: LipName | None = None
+    lip: Lip | None = None
     y_axis: YAxis = "auto"
     on: Marked = "mean"
     output: Path | None = None

@@ -105,5 +105,18 @@ def test_an_aligned_frame_shows_at_p_what_the_image_has_at_a_p(picture):
 def test_the_points_of_a_faceframe_come_in_order():
     faceframe = FaceFrame((1.0, 2.0), (3.0, 4.0), (5.0, 6.0))
     assert_array_equal(faceframe.points, [[1, 2], [3, 4], [5, 6]])
-    moved = faceframe.moved(faceframe.points + 1)
+    moved = FaceFrame.at(faceframe.points + 1)
     assert (moved.right_eye, moved.left_eye, moved.philtrum) == ((2, 3), (4, 5), (6, 7))
+
+
+@pytest.mark.parametrize(
+    ("points", "said"),
+    [
+        ([[20, 30], [np.nan, 30], [30, 44]], "not three finite points"),
+        ([[20, 30], [np.inf, 30], [30, 44]], "not three finite points"),
+        ([[20, 30], [20, 30], [30, 44]], "both eyes at 20,30"),
+    ],
+)
+def test_a_faceframe_that_places_no_face_is_refused_where_it_is_made(points, said):
+    with pytest.raises(BadInput, match=said):
+        FaceFrame.at(np.array(points, np.float64))

@@ -7,6 +7,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from morphspace.face import regions
 from morphspace.face.detector import Detector
+from morphspace.face.faceframe import FaceFrame
 from morphspace.face.mesh import FACE_OUTLINE, LEFT_LIDS, PHILTRUM, POINT_COUNT, RIGHT_LIDS, FacePoints
 from morphspace.face.points_in_clip import points_steps
 from morphspace.face.regions import face_mask
@@ -89,7 +90,7 @@ def test_a_build_takes_mask_rigid_part_and_keypoints_from_the_face(clip, tmp_pat
     face = FacePoints(neutral_points(), 0.9)
     assert_allclose(model.reference_faceframe.points, face.faceframe().points)
     to_mean = warp.invert(model.mean_inverse)
-    placed = face.faceframe().moved(warp.move_points(to_mean, face.faceframe().points))
+    placed = FaceFrame.at(warp.move_points(to_mean, face.faceframe().points))
     assert_allclose(model.mask, face_mask(HEIGHT, WIDTH, placed), atol=0.02)  # the inverse of an inverse
     assert model.faceframe is not None and model.provenance["keypoints"]["source"] == "auto"
     assert model.provenance["mask_from"] == "found face"

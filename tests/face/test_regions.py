@@ -54,7 +54,7 @@ def similarity(degrees, scale, shift):
 def test_a_tilted_faceframe_tilts_its_ellipse():
     upright = FaceFrame((35.0, 50.0), (61.0, 50.0), (48.0, 76.0))
     turn = similarity(20.0, 1.0, (0.0, 0.0))
-    tilted = upright.moved(warp.apply_affine(turn, upright.points))
+    tilted = FaceFrame.at(warp.apply_affine(turn, upright.points))
     back = warp.sample_field(
         rigid_region(HEIGHT, WIDTH, tilted)[..., None], warp.affine_displacement(turn, HEIGHT, WIDTH)
     )

@@ -299,7 +299,7 @@ def test_a_faceframe_survives_the_file(model, tmp_path):
     from dataclasses import replace
 
     faceframe = FaceFrame((20.25, 30.5), (40.125, 30.0), (30.0, 0.1))
-    replace(model, faceframe=faceframe, reference_faceframe=faceframe.moved(faceframe.points + 1)).save(
+    replace(model, faceframe=faceframe, reference_faceframe=FaceFrame.at(faceframe.points + 1)).save(
         tmp_path / "with.morph"
     )
     loaded = load_model(tmp_path / "with.morph")

@@ -223,7 +223,7 @@ def test_the_faceframe_goes_to_the_mean_face_with_the_mean_warp(waving, tmp_path
 
 @pytest.mark.parametrize("index", [1, 4])
 def test_a_faceframe_may_be_marked_on_any_frame(waving, tmp_path, index):
-    moved = MARKED.moved(warp.move_points(waving.fields[index], MARKED.points))
+    moved = FaceFrame.at(warp.move_points(waving.fields[index], MARKED.points))
     result = built(waving, tmp_path, replace(PLAIN, faceframe=moved, faceframe_index=index))
     expected = warp.move_points(np.mean(waving.fields, axis=0), MARKED.points)
     assert_allclose(result.model.faceframe.points, expected, atol=0.3)  # px; two flows
@@ -233,7 +233,7 @@ def test_a_faceframe_marked_on_a_frame_whose_head_moved_is_brought_back(picture,
     canvas = picture(140, 120, seed=6, sd_px=2.0)
     shifts = [(0, 0), (4, -3), (-3, 2)]
     frames = [np.ascontiguousarray(canvas[22 - y : 118 - y, 20 - x : 100 - x]) for x, y in shifts]
-    moved = MARKED.moved(MARKED.points + shifts[1])
+    moved = FaceFrame.at(MARKED.points + shifts[1])
     settings = replace(PLAIN, registration="similarity", faceframe=moved, faceframe_index=1)
     result = built(make_clip(frames), tmp_path, settings)
     assert_allclose(result.model.faceframe.points, MARKED.points, atol=0.15)  # px

@@ -135,7 +135,7 @@ def mirrored_model(model):
             model.basis.discarded_variance,
         ),
         mask=np.ascontiguousarray(mirror(model.mask)),
-        faceframe=model.faceframe.moved(there),
+        faceframe=FaceFrame.at(there),
     )
 
 
@@ -249,9 +249,7 @@ def test_the_affine_of_the_faceframes_is_what_links_the_models(built):
     source, target = built("anna"), built("ben")
     offset = source.offset(source.training.values[3])
     shift = np.array([[1.0, 0, 4], [0, 1, -3]])
-    moved = replace(
-        source, faceframe=source.faceframe.moved(warp.apply_affine(shift, source.faceframe.points))
-    )
+    moved = replace(source, faceframe=FaceFrame.at(warp.apply_affine(shift, source.faceframe.points)))
     height, width = source.mask.shape
     back = warp.affine_displacement(warp.inverse_affine(shift), height, width)
     there = MorphOffset.of(

@@ -41,7 +41,7 @@ def turned(model, degrees, scale=1.0):
     angle = np.radians(degrees)
     linear = scale * np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
     points = (FRAME.points - FRAME.points.mean(0)) @ linear.T + FRAME.points.mean(0)
-    return model.with_faceframe(FRAME.moved(points)), linear
+    return model.with_faceframe(FaceFrame.at(points)), linear
 
 
 def faces(model):

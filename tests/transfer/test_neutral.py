@@ -38,7 +38,7 @@ def test_a_mean_is_not_apart_from_itself_and_lips_count_in_eye_distances(model):
 def test_a_moved_and_larger_faceframe_changes_nothing(model):
     here = marked(model)
     points = np.asarray(here.provenance["keypoints"]["points"]) * 0.5 + 3
-    found = DetectedFaceframe(FRAME.moved(FRAME.points * 0.5 + 3), np.zeros(3), points, 40, 40)
+    found = DetectedFaceframe(FaceFrame.at(FRAME.points * 0.5 + 3), np.zeros(3), points, 40, 40)
     small = model.with_faceframe(found.faceframe, found.origin)
     assert means_apart(here, small) == pytest.approx(0, abs=0.001)
 

@@ -64,7 +64,7 @@ def test_one_neutral_frame_for_both_changes_nothing(talker):
 
 def test_a_larger_face_asks_for_as_much_in_its_own_eye_distances(talker):
     points = (FRAME.points - FRAME.points.mean(0)) * 0.5 + FRAME.points.mean(0)
-    small = talker.with_faceframe(FRAME.moved(points))
+    small = talker.with_faceframe(FaceFrame.at(points))
     most = beyond(talker, talker, 0.0) / beyond(talker, small, 0.0)
     assert most == pytest.approx(
         0.5, abs=1e-4

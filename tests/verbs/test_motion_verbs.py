@@ -73,9 +73,7 @@ def other(model):
     points = warp.move_points(field, FACEFRAME.points)
     training = replace(model.training, model_id="fedcba9876543210")
     provenance = {**model.provenance, "identity": "bob", "licence": "CC BY"}
-    return replace(
-        model, mean=mean, faceframe=FACEFRAME.moved(points), training=training, provenance=provenance
-    )
+    return replace(model, mean=mean, faceframe=FaceFrame.at(points), training=training, provenance=provenance)
 
 
 def run(request):

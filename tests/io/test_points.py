@@ -1,14 +1,17 @@
 """Laws of marked points: every program's file gives the same eyes and lip, whichever way its y counts."""
 
+import json
+
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 from morphspace.errors import BadInput, UnreadableFile
-from morphspace.io.sidecars import MarkedFaceframe, write_faceframe
-from morphspace.io.templates import TEMPLATES, read_marked_points, read_tps
+from morphspace.io.points import TEMPLATES, read_marked_points, read_tps
+from morphspace.io.sidecars import MarkedFaceframe, read_sidecar, write_faceframe
 
 HEIGHT = 240
+EXCHANGED = "the eyes were exchanged, since the subject's right eye is on the picture's left"
 POINTS = np.array([[78.25, 101.5], [124.0, 100.0], [100.5, 140.75]])
 
 
@@ -178,3 +181,50 @@ def test_an_empty_and_a_missing_tps_are_unreadable(file, tmp_path):
     for path in (file("empty.tps", "\n"), tmp_path / "nowhere.tps"):
         with pytest.raises(UnreadableFile, match=path.name):
             read_marked_points(path, HEIGHT)
+
+
+# The subject's right eye is on the picture's left, whatever a file says.
+
+
+@pytest.mark.parametrize("name", ["a.tem", "a.tps", "a.csv", "a.txt"])
+def test_every_landmark_file_with_exchanged_eyes_is_put_in_order_and_says_so(file, name):
+    exchanged = POINTS[[1, 0, 2]]
+    head = "3\n" if name == "a.tem" else ""
+    path = file(name, tps(exchanged) if name == "a.tps" else head + rows(exchanged, " "))
+    marked = read_marked_points(path, HEIGHT, lip="philtrum")
+    assert_array_equal(marked.points, POINTS)
+    assert marked.notes == (f"{path}: {EXCHANGED}",)
+
+
+@pytest.mark.parametrize("count", sorted(TEMPLATES))
+def test_a_template_with_exchanged_eyes_is_put_in_order_too(file, count):
+    points = templated(count) * (-1, 1) + (200, 0)
+    marked = read_marked_points(file("a.tem", f"{count}\n" + rows(points, " ")), HEIGHT)
+    assert_allclose(marked.points, (FACE * (-1, 1) + (200, 0))[[1, 0, 2]], atol=1e-9)
+    assert EXCHANGED in marked.notes[0]
+
+
+def test_a_faceframe_file_and_a_clips_sidecar_with_exchanged_eyes_are_put_in_order(file, tmp_path):
+    marked = MarkedFaceframe("f.png", POINTS[[1, 0, 2]])
+    assert_array_equal(marked.points, POINTS)
+    assert marked.notes == (f"the faceframe of f.png: {EXCHANGED}",)
+    names = ("left_eye", "right_eye", "philtrum")
+    entry = dict(zip(names, POINTS.tolist(), strict=True))
+    own = file(
+        "a.json", json.dumps({"format": "morphspace-faceframe", "version": 1, "image": "f.png", **entry})
+    )
+    read = read_marked_points(own, HEIGHT)
+    assert_array_equal(read.points, POINTS)
+    assert read.notes == marked.notes
+    sidecar = read_sidecar(file("clip.json", json.dumps({"faceframe": {"frame": "f.png", **entry}})))
+    assert_array_equal(sidecar.faceframe.points, POINTS)
+    assert sidecar.faceframe.notes == marked.notes
+
+
+def test_a_face_that_lies_on_its_side_is_refused_by_every_reader(file):
+    points = [[20, 30], [20, 60], [40, 45]]
+    for path in (file("a.csv", rows(points, ",")), file("a.tps", tps(points))):
+        with pytest.raises(BadInput, match="both eyes are at x 20, one above the other"):
+            read_marked_points(path, HEIGHT)
+    with pytest.raises(BadInput, match="both eyes are at x 20, one above the other"):
+        MarkedFaceframe("f.png", np.array(points, float))
