@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from morphspace.arrays import Affine, AnyArray, Displacement, Mask, Points
+from morphspace.arrays import Affine, AnyArray, Mask, Points
 from morphspace.errors import BadInput
 from morphspace.face.detector import Detector
 from morphspace.face.faceframe import FaceFrame
@@ -226,11 +226,6 @@ def picture_to_mean(model: MorphModel, points: Points) -> Points:
     return reference_to_mean(
         model, warp.apply_affine(warp.inverse_affine(framing_of(model).to_source), points)
     )
-
-
-def face_to_mean(displacement: Displacement, points: Points) -> Points:
-    """Carry points (m, 2) px of a rendered face to the mean face that `displacement` (h, w, 2) px warped."""
-    return warp.move_points(warp.invert(displacement), points)
 
 
 def detect_faceframe(model: MorphModel, detect: Detector, *, faces: int = FACES) -> Steps[DetectedFaceframe]:

@@ -80,6 +80,15 @@ def test_parts_share_every_pixel_between_them(person):
     assert_allclose(total, person.component_textures.reshape(total.shape), atol=1e-6)
 
 
+def test_brows_belong_to_the_upper_part_and_the_mouth_to_the_lower(person):
+    right, left, lip = FRAME.points
+    upper, lower, _ = MixedColours(person).parts
+    width = person.mask.shape[1]
+    for point, part, other in ((right, upper, lower), (left, upper, lower), (lip, lower, upper)):
+        place = int(point[1]) * width + int(point[0])
+        assert place in part.places and place not in other.places
+
+
 def test_the_picture_is_the_sum_of_its_parts(person):
     texturing, loadings = MixedColours(person), 1.5 * person.training.values[3]
     total = np.zeros((person.mask.size, 3))

@@ -10,6 +10,7 @@ from morphspace.errors import BadInput
 from morphspace.face.faceframe import FaceFrame
 from morphspace.face.mesh import LIPS, POINT_COUNT
 from morphspace.model.keypoints import DetectedFaceframe
+from morphspace.transfer import neutral
 from morphspace.transfer.neutral import FAR_APART, means_apart, neutral_of
 
 FRAME = FaceFrame((20.0, 30.0), (41.0, 29.0), (30.0, 44.0))
@@ -84,6 +85,17 @@ def test_an_open_mean_is_reached_by_the_frame_that_opens_as_far(model):
     assert_array_equal(neutral.source, model.training.values[openest])
     assert_array_equal(neutral.target, 0)
     assert neutral.apart < 0.7 * neutral.means_apart
+
+
+@pytest.mark.parametrize(("nearer", "taken"), [(0.95, False), (0.70, True)])
+def test_a_frame_is_taken_where_it_comes_clearly_nearer_than_the_mean(model, monkeypatch, nearer, taken):
+    source, target = marked(model), marked(model, 6.0)
+    apart = means_apart(source, target)
+    distances = np.full(len(model.training.values), 2 * apart)
+    distances[4] = nearer * apart
+    monkeypatch.setattr(neutral, "means_apart", lambda *models: apart)
+    monkeypatch.setattr(neutral, "_lips_apart", lambda *faces: distances)
+    assert neutral_of(source, target).source_frame == (model.training.frame_names[4] if taken else None)
 
 
 def test_no_frame_much_nearer_leaves_the_means(model):
