@@ -18,9 +18,6 @@ OPTIONS = (
     click.argument("recipe", type=PATH),
     OUTPUT_FOLDER,
     click.option(
-        "--workers", type=click.IntRange(1, 1024), help="Processes that draw [default: one a core]."
-    ),
-    click.option(
         "--plan",
         "is_plan",
         is_flag=True,
@@ -34,9 +31,7 @@ OPTIONS = (
 def add_batch(group: click.Group, verb: Callable[[Callable[..., Any]], Callable[..., None]]) -> None:
     """Add `batch` to the group; `verb` gives a command the options all verbs share and runs its steps."""
 
-    def batch(
-        recipe: Path, output: Path, workers: int | None, is_plan: bool, is_meant: bool
-    ) -> Steps[Outcome]:
+    def batch(recipe: Path, output: Path, is_plan: bool, is_meant: bool) -> Steps[Outcome]:
         """Make the stimulus set of RECIPE: a .yaml that crosses factors, or a .csv with one stimulus a row.
 
         Everything is checked before anything is drawn. A batch that was stopped goes on with the same command.
@@ -46,7 +41,7 @@ def add_batch(group: click.Group, verb: Callable[[Callable[..., Any]], Callable[
 
         unasked = stimulus_batch.MOST_PLANNED if is_plan else stimulus_batch.MOST_UNASKED
         most = None if is_meant else unasked
-        planned = yield from stimulus_batch.planned_batch(recipe, output, workers, most)
+        planned = yield from stimulus_batch.planned_batch(recipe, output, most=most)
         estimate = stimulus_batch.estimated(planned)
         lines = planned.lines(estimate)
         if is_plan:

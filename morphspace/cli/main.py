@@ -39,6 +39,7 @@ if TYPE_CHECKING:
 PROGRESS_AFTER_S = 2.0
 PROGRESS_EVERY_S, IN_A_LOG_EVERY_S = 0.1, 30.0  # on a terminal; in a file, where each is a line more
 INTERRUPTED = 130
+WORKERS_HELP = "Frames, or stimuli of a batch, to work on at a time [default: one a core]."
 DECLARED = [
     "caricature",
     "demo",
@@ -122,24 +123,30 @@ def _tidy_up_when_asked_to_stop() -> None:
 def _command(name: str, verb: Verb) -> click.Command:
     """Make the command of a verb: its own parameters, and those that all verbs share."""
     shared = [
+        click.Option(["--workers"], type=click.IntRange(1, 1024), help=WORKERS_HELP),
         click.Option(["--quiet"], is_flag=True, help="Print nothing but errors."),
         click.Option(["--json", "as_json"], is_flag=True, help="Print the outcome as JSON, for machines."),
         click.Option(["--debug"], is_flag=True, help="Show a traceback when something fails."),
     ]
 
-    def callback(quiet: bool, as_json: bool, debug: bool, **words: Any) -> int:
-        return _run(verb, words, quiet, as_json, debug)
+    def callback(workers: int | None, quiet: bool, as_json: bool, debug: bool, **words: Any) -> int:
+        return _run(verb, words, workers, quiet, as_json, debug)
 
     params = [*parameters_of(verb.request), *shared]
     return click.Command(name, params=params, callback=callback, help=verb.help)
 
 
-def _run(verb: Verb, words: dict[str, Any], quiet: bool, as_json: bool, debug: bool) -> int:
+def _run(
+    verb: Verb, words: dict[str, Any], workers: int | None, quiet: bool, as_json: bool, debug: bool
+) -> int:
     """Run the verb with the words that were given, show its outcome, and give the exit code."""
     _tidy_up_when_asked_to_stop()
     try:
+        from morphspace.steps import using_workers
+
         request = request_of_words(verb.request, words)
-        outcome = _driven(verb.run(request), quiet or as_json)
+        with using_workers(workers):
+            outcome = _driven(verb.run(request), quiet or as_json)
     except KeyboardInterrupt:
         if debug:
             raise
@@ -169,14 +176,20 @@ def _run(verb: Verb, words: dict[str, Any], quiet: bool, as_json: bool, debug: b
 def verb(command: Callable[..., Steps[Outcome]]) -> Callable[..., None]:
     """Give a command the options all verbs share, and run the steps it returns."""
 
+    @click.option("--workers", type=click.IntRange(1, 1024), help=WORKERS_HELP)
     @click.option("--quiet", is_flag=True, help="Print nothing but errors.")
     @click.option("--json", "as_json", is_flag=True, help="Print the outcome as JSON, for machines.")
     @click.option("--debug", is_flag=True, help="Show a traceback when something fails.")
     @wraps(command)
-    def wrapped(*args: Any, quiet: bool, as_json: bool, debug: bool, **options: Any) -> None:
+    def wrapped(
+        *args: Any, workers: int | None, quiet: bool, as_json: bool, debug: bool, **options: Any
+    ) -> None:
         _tidy_up_when_asked_to_stop()
         try:
-            outcome = _driven(command(*args, **options), quiet or as_json)
+            from morphspace.steps import using_workers
+
+            with using_workers(workers):
+                outcome = _driven(command(*args, **options), quiet or as_json)
         except KeyboardInterrupt:
             if debug:
                 raise

@@ -7,11 +7,8 @@ torch (`torch_backend`). Planes are (c, h, w) float32 throughout.
 
 from __future__ import annotations
 
-import contextlib
-import ctypes
 import threading
 from collections.abc import Callable, Iterable, Sequence
-from functools import cache
 from math import log, sqrt
 from types import ModuleType
 from typing import Any, Protocol
@@ -23,14 +20,13 @@ from morphspace.arrays import AnyArray
 from morphspace.errors import BadInput
 from morphspace.flow.filters import BORDER
 from morphspace.grid.warp import spline_reader
+from morphspace.steps import keep_freed_memory
 
 Planes = Any
 """(c, h, w) float32, a numpy array or a torch tensor, as the backend has it."""
 
 MEDIAN_PX = 5  # a side; OpenCV's largest for float32
 EDGE_PX = 1.5  # that a step of `edge_codes` is worth to the recursive smoother
-KEPT_BYTES, LARGEST_KEPT_BYTES = 2**28, 2**25  # in all, and of one block; the library allows no larger
-M_TRIM_THRESHOLD, M_MMAP_THRESHOLD = -1, -3  # as malloc.h of Linux has them
 SMALL_PX = 4096  # below it a call costs more than the work
 STRIP_PX = 2**14  # nine derivatives of three colours are 1.8 MB
 _CREATING = threading.Lock()
@@ -129,7 +125,7 @@ class OpenCVBackend:
 
     def __init__(self) -> None:
         """Take no options: one is as good as another."""
-        _keep_freed_memory()
+        keep_freed_memory()
 
     def strips(self, height: int, width: int) -> Iterable[slice]:
         step = max(1, STRIP_PX // width)
@@ -219,20 +215,6 @@ class OpenCVBackend:
     def weighted_dot(self, weights: AnyArray, a: AnyArray, b: AnyArray) -> AnyArray:
         out: AnyArray = np.einsum("nij,ncij,ncij->ij", weights, a, b)  # one pass, no products in between
         return out
-
-
-@cache
-def _keep_freed_memory() -> None:
-    """Let the process keep up to `KEPT_BYTES` of the memory of planes it frees, for the next ones.
-
-    Every page that the C library of Linux asks the system for is cleared first, and it gives back large blocks at once
-    (mallopt(3): M_MMAP_THRESHOLD) and what is free beyond a limit (M_TRIM_THRESHOLD); at 512 px a new reference then
-    costs a fifth more. Elsewhere this does nothing.
-    """
-    with contextlib.suppress(AttributeError, OSError, TypeError):  # another C library
-        tune = ctypes.CDLL(None).mallopt
-        tune(M_MMAP_THRESHOLD, LARGEST_KEPT_BYTES)
-        tune(M_TRIM_THRESHOLD, KEPT_BYTES)
 
 
 def _mirrored_rows(planes: AnyArray, reach: int) -> AnyArray:

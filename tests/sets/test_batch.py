@@ -194,7 +194,7 @@ def test_a_video_is_the_same_however_many_threads_and_processes_draw_it(lab, tmp
     text = HEAD + "stimuli: [{verb: render, model: ann.morph, table: ann.csv, video: .mkv, name: film}]"
     trees = []
     for cores in (1, 2):
-        monkeypatch.setattr(batch, "_cores", lambda cores=cores: cores)
+        monkeypatch.setattr(pool, "core_count", lambda cores=cores: cores)
         made(recipe(lab, text), tmp_path / str(cores), workers=1)
         trees.append(tree(tmp_path / str(cores)))
     assert trees[0] == trees[1] and "film.mkv" in trees[0]

@@ -1,9 +1,12 @@
 """A law of verbs that work on many frames: any number of workers writes the same bytes."""
 
 import pytest
+from click.testing import CliRunner
 
-from morphspace.steps import result_of, using_workers
-from morphspace.verbs import build_model, encode, make_actors, mimic
+from morphspace.cli.main import main
+from morphspace.outcome import Outcome
+from morphspace.steps import Step, result_of, using_workers, worker_count
+from morphspace.verbs import build_model, encode, info, make_actors, mimic
 
 
 @pytest.fixture(scope="module")
@@ -50,3 +53,18 @@ def test_building_encoding_and_mimicry_give_the_same_bytes_for_any_number_of_wor
     assert made[0].keys() == made[1].keys() == made[2].keys()
     for name, content in made[0].items():
         assert content == made[1][name] == made[2][name], name
+
+
+def test_the_option_says_how_many_workers_there_are(monkeypatch, tmp_path):
+    def run(request):
+        yield Step("look", 1, 1)
+        return Outcome((f"{worker_count()} workers",))
+
+    monkeypatch.setattr(info, "run", run)
+    monkeypatch.setenv("MORPHSPACE_WORKERS", "7")
+    (tmp_path / "a.morph").touch()
+    for words, count in (([], 7), (["--workers", "3"], 3)):
+        result = CliRunner().invoke(main, ["info", str(tmp_path / "a.morph"), *words])
+        assert result.output == f"{count} workers\n"
+    result = CliRunner().invoke(main, ["info", str(tmp_path / "a.morph"), "--workers", "0"])
+    assert result.exit_code == 2 and "--workers" in result.output
