@@ -30,10 +30,12 @@ from morphspace.model.keypoints import region_of
 from morphspace.model.model import load_model
 from morphspace.model.morph import Morph
 from morphspace.notebook import build
+from morphspace.sets import imitation as imitation_set
+from morphspace.sets.imitation import WRITTEN, of_height
 from morphspace.steps import result_of
 from morphspace.storage import digest_of_file
 from morphspace.verbs import measure_mimicry
-from morphspace.verbs.measure_mimicry import MeasureMimicryRequest, of_height
+from morphspace.verbs.measure_mimicry import MeasureMimicryRequest
 
 FRAMES = 24
 FACE = np.array([1.0])  # what a detector gives for a face; only that it is something is looked at here
@@ -734,7 +736,7 @@ def test_the_command_line_exits_3_where_a_frame_shows_no_face(work, model, monke
     assert "6 of 6 frames of the stimulus clip show no face to the detector: " in result.stderr
 
 
-@pytest.mark.parametrize("name", measure_mimicry.WRITTEN)
+@pytest.mark.parametrize("name", WRITTEN)
 def test_files_that_are_not_ours_are_not_written_over(work, model, name):
     given = table(work, "a", motion(), model)
     (work / "out").mkdir()
@@ -768,12 +770,12 @@ def test_a_run_that_fails_half_way_leaves_a_folder_the_next_one_takes(work, mode
         raise KeyboardInterrupt
 
     with monkeypatch.context() as patched:
-        patched.setattr(measure_mimicry, "write_measures", stop)
+        patched.setattr(imitation_set, "write_measures", stop)
         with pytest.raises(KeyboardInterrupt):
             measured(work, given, given)
     assert {path.name for path in (work / "out").iterdir()} == {"side-by-side.mp4", "measure-mimicry.work"}
     measured(work, given, given)
-    assert {path.name for path in (work / "out").iterdir()} == set(measure_mimicry.WRITTEN)
+    assert {path.name for path in (work / "out").iterdir()} == set(WRITTEN)
 
 
 @pytest.mark.parametrize("where", ["compare", "_drawn"])
@@ -783,7 +785,7 @@ def test_a_run_that_fails_before_anything_is_written_leaves_no_folder(work, mode
     def fail(*_, **__):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(measure_mimicry, where, fail)
+    monkeypatch.setattr(imitation_set, where, fail)
     with pytest.raises(KeyboardInterrupt):
         measured(work, given, given)
     assert not (work / "out").exists()
