@@ -31,8 +31,15 @@ from morphspace.outcome import versions, write_record
 from morphspace.report.advice import mimicry as advice
 from morphspace.report.mimic_page import PAIRS_SHOWN, MimicryResult, mimic_page
 from morphspace.report.set_page import CLIPPED_PERCENT
-from morphspace.sets.models import check_apart, check_landmarks
-from morphspace.sets.protect import MIMIC_FRAMES, VIDEO_NAME, WORK_FOLDER, remove_unfinished
+from morphspace.sets.models import check_landmarks
+from morphspace.sets.protect import (
+    MIMIC_FRAMES,
+    VIDEO_NAME,
+    WORK_FOLDER,
+    check_apart,
+    check_inputs,
+    remove_unfinished,
+)
 from morphspace.sets.sources import FRAME_RATE_HZ
 from morphspace.steps import Step, Steps, in_order
 from morphspace.storage import digest_of_file, make_folder, write_text
@@ -309,7 +316,7 @@ def written_mimicry(
     pictures = tuple(folder / MIMIC_FRAMES / name for name in picture_names(driver.names))
     video, page = folder / VIDEO_NAME, folder / "index.html"
     check_apart(folder, driver.files)
-    _check_inputs_stay((*pictures, video), [*driver.files, *inputs])
+    check_inputs((*pictures, video), [*driver.files, *inputs])
     make_folder(folder / MIMIC_FRAMES)
     remove_unfinished(folder)
     drive = _drive(source, target, asked)
@@ -401,15 +408,6 @@ def _method(source: UsedModel, target: UsedModel, asked: MimicSettings) -> tuple
         for used in unlearned.values()
     )
     return "transfer", (f"the method is transfer, not guided, which follows lids and lips better: {ways}",)
-
-
-def _check_inputs_stay(outputs: Sequence[Path], inputs: Sequence[Path]) -> None:
-    kept = {path.resolve() for path in inputs}
-    for path in outputs:
-        if path.resolve() in kept:
-            raise BadInput(
-                f"the output {path} is one of the inputs and would be lost: choose another output folder"
-            )
 
 
 def _write_loadings(

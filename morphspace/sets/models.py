@@ -55,16 +55,6 @@ def written_model(
     return WrittenModel(build, Case(build, figures, used), notes)
 
 
-def check_apart(output: Path, inputs: Sequence[Path]) -> None:
-    """Raise `BadInput` where frames lie in the output folder itself: they and what is written would be mixed."""
-    for path in inputs:
-        if path.suffix.lower() not in VIDEO_SUFFIXES and path.parent.resolve() == output.resolve():
-            raise BadInput(
-                f"the output folder {output} holds the frames that are read, such as {path.name}: choose another "
-                "output folder, such as one in it"
-            )
-
-
 def check_landmarks(used: UsedModel | Clip) -> None:
     """Raise `BadInput` with what helps where a model that is to guide does not know its landmarks, or cannot learn
     them.

@@ -13,7 +13,7 @@ from typing import Any
 from morphspace import storage
 from morphspace.cache import SUFFIX
 from morphspace.errors import BadInput, MorphspaceError, UnreadableFile
-from morphspace.io.clips import FRAMES_FOLDER, SIDECAR_NAME
+from morphspace.io.clips import FRAMES_FOLDER, SIDECAR_NAME, VIDEO_SUFFIXES
 from morphspace.io.sidecars import read_json_object
 from morphspace.io.stimulus_sidecars import STIMULUS_FORMAT, essentials_in
 from morphspace.outcome import RECORD_NAME
@@ -64,8 +64,7 @@ def check_file(path: Path, suffix: str, kept: Iterable[Path] = ()) -> None:
         raise BadInput(f"the output {path} should end in {suffix}: call it {path.stem or 'output'}{suffix}")
     if path.is_dir():
         raise BadInput(f"the output {path} is a folder: give the name of a {suffix} file")
-    if path.exists() and path.resolve() in {other.resolve() for other in kept}:
-        raise BadInput(f"the output {path} is one of the inputs and would be lost: give it another name")
+    check_inputs([path], tuple(kept))
 
 
 def files_named(request: Any) -> tuple[Path, ...]:
@@ -116,7 +115,17 @@ def check_inputs(written: Iterable[Path], inputs: Collection[Path]) -> None:
     kept = {path.resolve() for path in set(inputs)} if there else set()
     for path in there:
         if path.resolve() in kept:
-            raise BadInput(f"the output {path} is one of the inputs and would be lost: give another folder")
+            raise BadInput(f"the output {path} is one of the inputs and would be lost: choose another output")
+
+
+def check_apart(output: Path, inputs: Sequence[Path]) -> None:
+    """Raise `BadInput` where frames lie in the output folder itself: they and what is written would be mixed."""
+    for path in inputs:
+        if path.suffix.lower() not in VIDEO_SUFFIXES and path.parent.resolve() == output.resolve():
+            raise BadInput(
+                f"the output folder {output} holds the frames that are read, such as {path.name}: choose another "
+                "output folder, such as one in it"
+            )
 
 
 def check_set(

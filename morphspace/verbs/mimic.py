@@ -19,13 +19,8 @@ from morphspace.model.model import MorphModel
 from morphspace.outcome import Outcome
 from morphspace.requests import ClipText
 from morphspace.sets.mimicry import BEST, MAX_SD, MimicSettings, WrittenMimicry, written_mimicry
-from morphspace.sets.models import check_apart, check_faces, check_landmarks, opened_model, ready_model
-from morphspace.sets.protect import (
-    MODELS_FOLDER,
-    check_ours,
-    no_empty_folders,
-    told_what_stays,
-)
+from morphspace.sets.models import check_faces, check_landmarks, opened_model, ready_model
+from morphspace.sets.protect import MODELS_FOLDER, check_apart, check_ours, no_empty_folders, told_what_stays
 from morphspace.steps import Steps
 from morphspace.storage import make_folder
 from morphspace.transfer.driver import UsedModel, clip_driver, training_driver

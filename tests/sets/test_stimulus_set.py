@@ -415,7 +415,7 @@ def test_an_input_is_never_written_over(folder, tmp_path, name):
     else:
         steps = caricature.run(request)
     with pytest.raises(
-        BadInput, match=f"{name}.csv is one of the inputs and would be lost: give another folder"
+        BadInput, match=f"{name}.csv is one of the inputs and would be lost: choose another output"
     ):
         result_of(steps)
     assert bytes_of(tmp_path) == before
