@@ -438,6 +438,10 @@ def test_what_a_model_can_say_is_found_again_from_a_part_of_the_face():
     assert np.abs(naive - truth).max() > 0.2
 
 
+def test_one_number_in_a_hundred_is_independent():
+    assert masked_basis(orthonormal_basis(3, 300, 0.01), np.ones(300)).noise == pytest.approx(1.0)  # anchored
+
+
 def test_a_component_that_the_part_does_not_show_stays_at_the_mean():
     rows = np.zeros((2, 10), np.float32)
     rows[0, :5], rows[1, 5:] = 5**-0.5, 5**-0.5

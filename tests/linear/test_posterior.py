@@ -69,6 +69,9 @@ def test_a_model_that_leaves_nothing_out_has_a_little_noise(basis, weight, offse
     assert Posterior(whole, weight, 5000.0).noise == pytest.approx(least)
     found = Posterior(whole, weight, 5000.0).mean(offset)
     assert_allclose(found, dense(whole, weight, offset, least), rtol=1e-4, atol=1e-5)
+    faintest = whole.expand(np.array([0.0, 0.0, 0.0, 0.1]))
+    seen_whole = Posterior(whole, np.ones(D, np.float32), 5000.0)
+    assert_allclose(seen_whole.mean(faintest)[3], 0.1 / 1.001, rtol=1e-4)  # an anchored figure: .1 % less
     hidden = Posterior(whole, np.zeros(D, np.float32), 1.0)
     assert_allclose(hidden.mean(offset), 0)
 

@@ -17,7 +17,7 @@ from morphspace.model.morph import MorphOffset
 from morphspace.transfer.guided import GUIDES, landmark_guide
 from morphspace.transfer.mimicry import GAIN_RANGE, METHODS, auto_gain, mimic
 from morphspace.transfer.neutral import Neutral
-from morphspace.transfer.probable import FEATURE_WEIGHT, bounded, feature_weights
+from morphspace.transfer.probable import bounded, feature_weights, posterior_of
 from morphspace.transfer.projection import Projection
 
 FRAME = FaceFrame((20.0, 30.0), (41.0, 29.0), (30.0, 44.0))
@@ -148,6 +148,14 @@ def test_beyond_the_source_nothing_is_known_to_differ(person):
     assert carried.reference_id == target.mean.reference_id
 
 
+def test_another_person_is_expected_to_differ_by_far_more_than_a_model_leaves_out(person):
+    """Anchored figures: 5000 times what the target leaves out, and all of what both masks show."""
+    noisy = replace(person, basis=replace(person.basis, discarded_variance=1e-3))
+    posterior = posterior_of(Projection(noisy, noisy))
+    assert posterior.noise == pytest.approx(5.0)
+    assert 0.3 < posterior.visible_share.min() <= posterior.visible_share.max() <= 1.0
+
+
 def test_the_bound_keeps_order_and_small_loadings():
     values = np.linspace(-40, 40, 401)
     drawn = bounded(values, 3.0)
@@ -195,7 +203,7 @@ def test_lids_brows_and_lips_weigh_more_where_they_are_known(person):
     marked = person.with_faceframe(found.faceframe, found.origin)
     assert_allclose(landmarks_of(marked), points)
     weights = feature_weights(marked)
-    assert weights[50, 30] == pytest.approx(1 + FEATURE_WEIGHT, rel=1e-3)
+    assert weights[50, 30] == pytest.approx(31, rel=1e-3)  # an anchored figure
     assert weights[10, 30] == pytest.approx(1, abs=1e-3)
     assert landmarks_of(person.with_faceframe(FRAME, {"source": "set"})) is None
 
