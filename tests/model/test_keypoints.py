@@ -3,7 +3,6 @@
 from dataclasses import replace
 from pathlib import Path
 
-import click
 import numpy as np
 import pytest
 from click.testing import CliRunner
@@ -11,8 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
 
-from morphspace.cli.keypoints import add_keypoints
-from morphspace.cli.main import OneLineErrors, verb
+from morphspace.cli.main import main
 from morphspace.errors import BadInput, ModelFileError
 from morphspace.face.faceframe import FaceFrame
 from morphspace.face.mesh import LANDMARKS, LEFT_LIDS, RIGHT_LIDS
@@ -59,12 +57,8 @@ def saved(model, tmp_path):
 
 @pytest.fixture
 def command():
-    group = OneLineErrors("morphspace")
-    add_keypoints(group, verb)
-    group.command("other")(lambda: None)
-
     def invoked(*words):
-        return CliRunner().invoke(group, ["keypoints", *map(str, words)])
+        return CliRunner().invoke(main, ["keypoints", *map(str, words)])
 
     return invoked
 
@@ -336,7 +330,6 @@ def test_bad_input_is_one_line_and_leaves_the_model(saved, command, words, menti
 
 
 def test_the_command_has_help(command):
-    assert isinstance(OneLineErrors("x"), click.Group)
     assert "--lip" in command("--help").output
 
 
