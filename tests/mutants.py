@@ -6,16 +6,18 @@ A mutant is the code with one change: a constant of a module or another number t
 the other sign; a comparison turned round, `and` for `or`, a `not` left out; `+` for `-`. A quarter of the mutants is of
 each kind, drawn from the rooms below. Docstrings, annotations, f-strings and the words of errors stay as they are.
 
-Each mutant lives in a copy of the project, never in the working tree. The tests of its own room and of the verbs that
-use the module run first; what they let through meets all other default tests. A mutant that all tests pass has
-survived: a test is missing, or the change makes no difference that matters. Tests that fail before anything was changed
-are left out, and named.
+Each mutant lives in a copy of the project, never in the working tree. The default tests run once as the code is, which
+tells what fails anyway, and which test runs which line. A mutant meets the tests that run its line, those of its own
+room first, and then the rest of their files; no other test could notice it. For a constant of a module these are the
+tests that run anything of that module. A mutant that passes has survived: a test is missing, or the change makes no
+difference that matters. `--reach FILE` keeps what the first run found, for runs after it.
 """
 
 from __future__ import annotations
 
 import argparse
 import ast
+import json
 import os
 import queue
 import random
@@ -27,9 +29,12 @@ import sys
 import tempfile
 import threading
 import time
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Callable, Generator, Iterator
+from dataclasses import dataclass, field
 from pathlib import Path
+from types import FrameType
+
+import pytest
 
 ROOT = Path(__file__).parents[1]
 ROOMS = ("transfer", "model/fit.py", "avatar", "stimuli")
@@ -40,6 +45,7 @@ FLIPPED = {
     ast.Lt: ">=", ast.GtE: "<", ast.Gt: "<=", ast.LtE: ">", ast.Eq: "!=", ast.NotEq: "==",
     ast.Is: "is not", ast.IsNot: "is", ast.In: "not in", ast.NotIn: "in",
 }  # fmt: skip
+MOST_NODES = 400  # tests named one by one; the rest come with their files
 KINDS = ("constant", "number", "comparison", "sign")
 
 
@@ -177,29 +183,50 @@ def mutants(rooms: list[str], count: int, seed: int, kinds: tuple[str, ...] = KI
     return sorted(drawn, key=lambda one: (one.where.split(":")[0], one.line, one.start))
 
 
-def imported(path: Path) -> set[str]:
-    """Give the modules of the package that a file names in its imports."""
-    found: set[str] = set()
-    for node in ast.walk(ast.parse(path.read_text())):
-        if isinstance(node, ast.ImportFrom) and node.module:
-            found |= {node.module, *(f"{node.module}.{alias.name}" for alias in node.names)}
-        elif isinstance(node, ast.Import):
-            found |= {alias.name for alias in node.names}
-    return {name for name in found if name.startswith("morphspace")}
+class Reach:
+    """A pytest plugin that notes which test runs which of the lines that will be changed, and for how long it runs."""
+
+    def __init__(self, wanted: dict[str, list[int]], folder: Path) -> None:
+        self.wanted = {str(Path.cwd() / name): (name, frozenset(lines)) for name, lines in wanted.items()}
+        self.folder = folder
+        self.found: dict[str, dict[str, float]] = {}
+        self.lines: set[str] = set()
+
+    def frame(self, frame: FrameType, event: str, _: object) -> Callable[..., object] | None:
+        if frame.f_code.co_filename not in self.wanted:
+            return None
+        self.lines.add(self.wanted[frame.f_code.co_filename][0])
+        return self.line
+
+    def line(self, frame: FrameType, event: str, _: object) -> Callable[..., object]:
+        name, lines = self.wanted[frame.f_code.co_filename]
+        if frame.f_lineno in lines:
+            self.lines.add(f"{name}:{frame.f_lineno}")
+        return self.line
+
+    @pytest.hookimpl(wrapper=True)
+    def pytest_runtest_protocol(self, item: pytest.Item) -> Generator[None, object, object]:
+        self.lines = set()
+        started = time.process_time()
+        threading.settrace(self.frame)
+        sys.settrace(self.frame)
+        try:
+            return (yield)
+        finally:
+            sys.settrace(None)
+            threading.settrace(None)  # type: ignore[arg-type]
+            for place in self.lines:
+                self.found.setdefault(place, {})[item.nodeid] = time.process_time() - started
+
+    def pytest_sessionfinish(self) -> None:
+        if self.found:
+            (self.folder / f"{os.getpid()}.json").write_text(json.dumps(self.found))
 
 
-def near_tests(path: Path, root: Path) -> list[str]:
-    """Give the tests to run first: those of the module's room, and those that name it or a verb that imports it."""
-    module = ".".join(path.relative_to(root).with_suffix("").parts)
-    users = {module}
-    for verb in (root / "morphspace" / "verbs").glob("*.py"):
-        if module in imported(verb) or module.rpartition(".")[0] in imported(verb):
-            users.add(f"morphspace.verbs.{verb.stem}")
-    room = root / "tests" / path.relative_to(root / "morphspace").parts[0]
-    files = sorted(room.glob("test_*.py"), key=lambda one: (module not in imported(one), one))
-    others = sorted(one for one in (root / "tests").rglob("test_*.py") if one not in files)
-    files += [one for one in others if imported(one) & users]
-    return [str(one.relative_to(root)) for one in files]
+def pytest_configure(config: pytest.Config) -> None:
+    """Take part in the first run, which names this file as a plugin."""
+    wanted = json.loads(os.environ["MUTANTS_LINES"])
+    config.pluginmanager.register(Reach(wanted, Path(os.environ["MUTANTS_FOUND"])))
 
 
 @dataclass
@@ -207,11 +234,12 @@ class Copy:
     """A copy of the project in which one mutant after the other lives; `failing` tests fail without any mutant."""
 
     folder: Path
-    failing: list[str]
+    failing: list[str] = field(default_factory=list)
 
-    def pytest(self, words: list[str], timeout_s: float) -> tuple[str, str]:
+    def pytest(self, words: list[str], timeout_s: float, **more: str) -> tuple[str, str]:
         """Run the default tests named by `words`: `passed`, `killed` with all failures, or `timeout`."""
-        environment = {**os.environ, "PYTHONPATH": str(self.folder), "PYTHONDONTWRITEBYTECODE": "1"}
+        path = os.pathsep.join([str(self.folder), str(self.folder / "tests")])
+        environment = {**os.environ, "PYTHONPATH": path, "PYTHONDONTWRITEBYTECODE": "1", **more}
         words = [*words, *(f"--deselect={one}" for one in self.failing)]
         command = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", *words]
         process = subprocess.Popen(
@@ -234,15 +262,43 @@ class Copy:
         found = re.findall(r"^(?:FAILED|ERROR) (\S+)", out, re.MULTILINE)
         return "killed", " ".join(found) or out.strip().splitlines()[-1]
 
-    def verdict(self, mutant: Mutant, timeout_s: float, near_only: bool) -> tuple[str, str]:
-        place = self.folder / mutant.path.relative_to(ROOT)
+    def reach(self, drawn: list[Mutant], options: argparse.Namespace) -> dict[str, dict[str, float]]:
+        """Run the default tests once: give the tests that run each line, and each file, and for how many seconds."""
+        lines: dict[str, list[int]] = {}
+        for one in drawn:
+            lines.setdefault(str(one.path.relative_to(ROOT)), []).append(one.line)
+        found: dict[str, dict[str, float]] = {}
+        with tempfile.TemporaryDirectory() as notes:
+            words = ["-p", "mutants", "-n", str(options.workers)]
+            more = {"MUTANTS_LINES": json.dumps(lines), "MUTANTS_FOUND": notes}
+            verdict, failing = self.pytest(words, 8 * options.timeout, **more)
+            for note in Path(notes).glob("*.json"):
+                for place, tests in json.loads(note.read_text()).items():
+                    found.setdefault(place, {}).update(tests)
+        if verdict == "timeout" or not found:
+            raise SystemExit(f"the default tests did not run: {failing}")
+        return {**found, "failing": dict.fromkeys(failing.split(), 0.0)}
+
+    def verdict(
+        self, mutant: Mutant, reach: dict[str, dict[str, float]], timeout_s: float
+    ) -> tuple[str, str]:
+        name = mutant.path.relative_to(ROOT)
+        tests = reach.get(f"{name}:{mutant.line}") or reach.get(str(name), {})
+        room = f"tests/{name.parts[1]}/"
+        nodes = sorted(
+            tests.keys() - set(self.failing), key=lambda one: (not one.startswith(room), tests[one])
+        )
+        files = list(dict.fromkeys(one.split("::")[0] for one in nodes))
+        place = self.folder / name
         source = place.read_text()
         place.write_text(source[: mutant.start] + mutant.text + source[mutant.end :])
         try:
-            near = near_tests(self.folder / mutant.path.relative_to(ROOT), self.folder)
-            verdict = self.pytest(["-x", "-n", "0", *near], timeout_s)
-            if verdict[0] == "passed" and not near_only:
-                verdict = self.pytest(["-x", "-n", "0", *(f"--ignore={one}" for one in near)], timeout_s)
+            for words in (nodes[:MOST_NODES], files):
+                verdict = (
+                    self.pytest(["-x", "-n", "0", *words], timeout_s) if words else ("passed", "no test")
+                )
+                if verdict[0] != "passed":
+                    break
             return verdict
         finally:
             place.write_text(source)
@@ -260,18 +316,23 @@ def judged(drawn: list[Mutant], options: argparse.Namespace) -> Iterator[tuple[M
                 mutant = waiting.get_nowait()
             except queue.Empty:
                 return
-            done.put((mutant, *copy.verdict(mutant, options.timeout, options.near_only)))
+            done.put((mutant, *copy.verdict(mutant, reach, options.timeout)))
 
     with tempfile.TemporaryDirectory(prefix="mutants-") as folder:
-        copies = [Copy(Path(folder) / str(number), []) for number in range(min(options.workers, len(drawn)))]
+        copies = [Copy(Path(folder) / str(number)) for number in range(min(options.workers, len(drawn)))]
         for copy in copies:
             shutil.copytree(ROOT, copy.folder, ignore=NOT_COPIED)
-        near = {test for mutant in drawn for test in near_tests(mutant.path, ROOT)}
-        as_they_are = sorted(near) if options.near_only else []
-        _, failing = copies[0].pytest(["-n", str(options.workers), *as_they_are], 4 * options.timeout)
-        print(f"without a mutant these tests fail, and are left out: {failing or 'none'}\n", flush=True)
+        if options.reach and options.reach.exists():
+            reach = json.loads(options.reach.read_text())
+        else:
+            reach = copies[0].reach(drawn, options)
+            if options.reach:
+                options.reach.write_text(json.dumps(reach))
+        print(
+            f"these tests fail without a mutant, and are left out: {' '.join(reach['failing'])}\n", flush=True
+        )
         for copy in copies:
-            copy.failing = failing.split()
+            copy.failing = list(reach["failing"])
             threading.Thread(target=work, args=(copy,), daemon=True).start()
         for _ in drawn:
             yield done.get()
@@ -289,7 +350,7 @@ def main() -> int:
     parser.add_argument(
         "--timeout", type=float, default=900.0, help="seconds for each of the two runs of tests"
     )
-    parser.add_argument("--near-only", action="store_true", help="leave out the tests of other rooms")
+    parser.add_argument("--reach", type=Path, help="file that keeps which test runs which line")
     parser.add_argument("--list", action="store_true", help="list the mutants and stop")
     options = parser.parse_args()
     drawn = mutants(options.rooms, options.count, options.seed, tuple(options.kinds))
