@@ -3,6 +3,8 @@
 A comment gives what a figure becomes with a tenth and with ten times the constant.
 """
 
+from itertools import pairwise
+
 import numpy as np
 import pytest
 
@@ -58,8 +60,7 @@ def test_steps_are_made_even_until_they_are_even_enough(drawn_anna):
     def sizes_of(positions):
         rounds.append(positions)
         pictures = [line.picture(position) for position in positions]
-        pairs = zip(pictures[:-1], pictures[1:], strict=True)
-        return np.array([difference(one, other, model.mask, "ciede2000") for one, other in pairs])
+        return np.array([difference(*two, model.mask, "ciede2000") for two in pairwise(pictures)])
 
     found = equalised(sizes_of, even_positions(6))
     assert found.unevenness < 0.005 and len(rounds) == 3
