@@ -5,7 +5,6 @@ MediaPipe runs in the interpreter of the landmark judge (benchmarks/judges/mesh.
 
 from __future__ import annotations
 
-import csv
 import time
 from collections.abc import Sequence
 from pathlib import Path
@@ -83,15 +82,11 @@ def _spread(folder: Path) -> list[Path]:
 
 
 def _judged(judge: str, paths: Sequence[Path], table: Path) -> list[Points]:
-    """Give MediaPipe's points (478, 2) px in each file."""
-    table.parent.mkdir(parents=True, exist_ok=True)
-    points = table.with_name(f"{table.stem}_points.csv")
-    reading.run(judge, reading.MESH, [*map(str, paths), "-o", str(table), "--points", str(points)])
-    with points.open(newline="", encoding="utf-8") as stream:
-        rows = list(csv.reader(stream))[1:]
-    if lost := [row[0] for row in rows if "" in row[1:]]:
+    """Return MediaPipe's points (478, 2) px in each file."""
+    found = reading.read_mesh(judge, paths, table)
+    if lost := [path for path in paths if np.isnan(found[path.stem]).any()]:
         raise BadInput(f"MediaPipe finds no face in {lost[0]}: choose other frames")
-    return [np.array(row[1:], float).reshape(-1, 2) for row in rows]
+    return [found[path.stem] for path in paths]
 
 
 def _found(

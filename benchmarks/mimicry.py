@@ -6,6 +6,9 @@ source, drawn from all their loadings; what is judged are the pictures of the ta
 
 from __future__ import annotations
 
+import csv
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
@@ -14,6 +17,7 @@ from judges import measures, reading
 from scipy.interpolate import RBFInterpolator
 from tables import print_table, tell
 
+from morphspace.arrays import AnyArray
 from morphspace.errors import BadInput
 from morphspace.face.detector import Detector, load_detector
 from morphspace.face.mesh import MESH_COUNT
@@ -47,6 +51,10 @@ SIZE = (200, 240)
 COMPONENTS = 50
 FRAMES = 24  # of each source, evenly spread
 VIEWS = 8  # copies of a picture the judge averages over
+READ_DRIVER, READ_DRIVEN = 0.85, 0.75  # r of two detectors on a person's own faces
+REPORTED = ("paper", "transfer", "guided, auto", SPLINE)
+MEASURED = tuple(name.replace("_", " ") for name in measures.MEASURES)
+HEADS = ("way", "pair", *MEASURED, "mean", "to target", "to source", "folds %")
 GOAL_R, GOAL_SLOPES, GOAL_IDENTITY, LEAST_R, GOAL_FOLDS = 0.88, (0.8, 1.2), 0.30, 0.75, 0.5
 
 
@@ -62,64 +70,116 @@ def mimicry(data: Path, work: Path, judge: str) -> None:
         f"folds <= {GOAL_FOLDS} %. {SPLINE}: what one would do today, the target's mean face warped by a thin-plate "
         "spline through the source's landmarks, found in each driving face and carried by the affine.\n"
     )
-    models = {
-        name: keyed_model(data, name, work) for name in sorted({name for pair in PAIRS for name in pair})
-    }
-    readings = {name: _read(judge, _drawn(model, work / "mimicry" / name)) for name, model in models.items()}
-    heads = ["way", "pair", *(name.replace("_", " ") for name in measures.MEASURES)]
+    people = sorted({name for pair in PAIRS for name in pair})
+    cast = _cast(people, data, work, judge)
+    rows = [row for way in (*WAYS, SPLINE) for row in _rows_of_way(way, PAIRS, cast, work, judge)]
+    print_table(HEADS, rows)
+
+
+def mimicry_report(data: Path, work: Path, judge: str, mesh_judge: str) -> None:
+    """Print mimicry between people on whom nothing was chosen, of the measures that can be read on both people."""
+    with (data / "people.csv").open(newline="", encoding="utf-8") as stream:
+        people = [row["person"] for row in csv.DictReader(stream) if row["use"] == "report"]
+    pairs = tuple(zip(people, [*people[1:], people[0]], strict=True))
+    print(
+        "People on whom no constant was chosen (`report` in people.csv), each driven by the one before in that list. "
+        "Models, drivers, judge and goals as in mimicry.md. A measure counts for a pair where two detectors that share "
+        f"nothing agree on the {FRAMES} faces of each person: r >= {READ_DRIVER} for the driver, >= {READ_DRIVEN} for "
+        "the target (dlib, which judges, and MediaPipe's attention mesh). What they do not agree on is unread (-), not "
+        "scored.\n"
+    )
+    cast = _cast(people, data, work, judge)
+    agreement, moves = {}, {}
     rows = []
-    detect = load_detector()
-    for way in (*WAYS, SPLINE):
-        means = []
-        for source, target in PAIRS:
-            name = f"{way}-{source}-{target}".replace(".", "_")  # the judge replaces a suffix
-            folder = work / "mimicry" / name
-            if way == SPLINE:
-                folder, folds = _splined(models[source], models[target], detect, folder)
-            else:
-                folder, folds = _driven(models[source], models[target], way, folder)
-            made, true = _read(judge, folder), readings[source]
-            here, there = measures.paired(true, made)
-            both = measures.mimicry(
-                measures.expression(true.landmarks[here]),
-                measures.expression(made.landmarks[there]),
-            )
-            r, slope = np.nanmean(both, axis=0)
-            to_target = measures.identity_distance(made.embeddings, readings[target].embeddings)
-            to_source = measures.identity_distance(made.embeddings, true.embeddings)
-            means.append((r, slope, to_target))
-            cells = ["-" if np.isnan(one) else f"{one:.2f} / {two:.2f}" for one, two in both]
-            rows.append(
-                [
-                    way,
-                    f"{source} to {target}",
-                    *cells,
-                    f"{r:.2f} / {slope:.2f}",
-                    f"{to_target:.2f}",
-                    f"{to_source:.2f}",
-                    f"{100 * folds:.2f}",
-                ]
-            )
-        mean, least, most = np.mean(means, axis=0), np.min(means, axis=0), np.max(means, axis=0)
-        goals = {
-            "mean r": mean[0] >= GOAL_R,
-            "lowest r": least[0] >= LEAST_R,
-            "slope": GOAL_SLOPES[0] <= mean[1] <= GOAL_SLOPES[1],
-            "identity": most[2] <= GOAL_IDENTITY,
-        }
-        missed = [name for name, met in goals.items() if not met]
-        rows.append(
-            [
-                way,
-                f"mean; lowest r {least[0]:.2f}",
-                *[""] * len(measures.MEASURES),
-                f"{mean[0]:.3f} / {mean[1]:.2f}",
-                f"{mean[2]:.2f}",
-                "",
-                f"MISSED: {', '.join(missed)}" if missed else "goals met",
-            ]
+    for name in people:
+        points = reading.read_mesh(
+            mesh_judge, [work / "mimicry" / name], work / "mimicry" / f"{name}-mesh.csv"
         )
-    print_table([*heads, "mean", "to target", "to source", "folds %"], rows)
+        one = measures.expression(cast[name].readings.landmarks)
+        other = measures.expression(
+            np.array([points[file] for file in cast[name].readings.names]), measures.MESH
+        )
+        agreement[name] = measures.mimicry(one, other)[:, 0]
+        moves[name] = np.nanstd(one, axis=0)
+        cells = zip(agreement[name], 100 * moves[name], strict=True)
+        rows.append([name, *("-" if np.isnan(r) else f"{r:.2f} / {sd:.1f}" for r, sd in cells)])
+    print(
+        "## What can be read\n\nFor each measure: r of the two detectors / sd in the person's own faces, % of the eye "
+        "distance.\n"
+    )
+    print_table(["person", *MEASURED], rows)
+    print("## Mimicry of these measures\n")
+    counted = {
+        (source, target): (np.nan_to_num(agreement[source]) >= READ_DRIVER)
+        & (np.nan_to_num(agreement[target]) >= READ_DRIVEN)
+        for source, target in pairs
+    }
+    print_table(
+        HEADS, [row for way in REPORTED for row in _rows_of_way(way, pairs, cast, work, judge, counted)]
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class Person:
+    """A person's model, and what the judge reads in `FRAMES` of its training faces."""
+
+    model: MorphModel
+    readings: measures.Readings
+
+
+def _cast(people: Sequence[str], data: Path, work: Path, judge: str) -> dict[str, Person]:
+    cast = {}
+    for name in people:
+        model = keyed_model(data, name, work)
+        cast[name] = Person(model, _read(judge, _drawn(model, work / "mimicry" / name)))
+    return cast
+
+
+def _rows_of_way(
+    way: str,
+    pairs: Sequence[tuple[str, str]],
+    cast: Mapping[str, Person],
+    work: Path,
+    judge: str,
+    counted: Mapping[tuple[str, str], AnyArray] | None = None,
+) -> list[list[str]]:
+    """Measure all pairs by one way; give their rows and the row of their means. `counted`: the measures, (6,) bool."""
+    rows, means = [], []
+    detect = load_detector()
+    for source, target in pairs:
+        folder = work / "mimicry" / f"{way}-{source}-{target}"
+        if way == SPLINE:
+            folder, folds = _splined(cast[source].model, cast[target].model, detect, folder)
+        else:
+            folder, folds = _driven(cast[source].model, cast[target].model, way, folder)
+        made, true = _read(judge, folder), cast[source].readings
+        here, there = measures.paired(true, made)
+        both = measures.mimicry(
+            measures.expression(true.landmarks[here]), measures.expression(made.landmarks[there])
+        )
+        if counted is not None:
+            both[~counted[source, target]] = np.nan
+        read = both[~np.isnan(both[:, 0])]
+        r, slope = read.mean(axis=0) if len(read) else (np.nan, np.nan)
+        to_target = measures.identity_distance(made.embeddings, cast[target].readings.embeddings)
+        to_source = measures.identity_distance(made.embeddings, true.embeddings)
+        means.append((r, slope, to_target))
+        cells = ["-" if np.isnan(one) else f"{one:.2f} / {two:.2f}" for one, two in both]
+        summary = f"{r:.2f} / {slope:.2f}" if len(read) else "-"
+        distances = [f"{to_target:.2f}", f"{to_source:.2f}", f"{100 * folds:.2f}"]
+        rows.append([way, f"{source} to {target}", *cells, summary, *distances])
+    mean, least, most = np.nanmean(means, axis=0), np.nanmin(means, axis=0), np.nanmax(means, axis=0)
+    goals = {
+        "mean r": mean[0] >= GOAL_R,
+        "lowest r": least[0] >= LEAST_R,
+        "slope": GOAL_SLOPES[0] <= mean[1] <= GOAL_SLOPES[1],
+        "identity": most[2] <= GOAL_IDENTITY,
+    }
+    missed = [name for name, met in goals.items() if not met]
+    verdict = f"MISSED: {', '.join(missed)}" if missed else "goals met"
+    blank = [""] * len(MEASURED)
+    summary = f"{mean[0]:.3f} / {mean[1]:.2f}"
+    return [*rows, [way, f"mean; lowest r {least[0]:.2f}", *blank, summary, f"{mean[2]:.2f}", "", verdict]]
 
 
 def keyed_model(data: Path, name: str, work: Path) -> MorphModel:

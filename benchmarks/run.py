@@ -102,6 +102,11 @@ SECTIONS: dict[str, Section] = {
     "mimicry": Section(
         "Mimicry", lambda run: mimicry.mimicry(run.data, run.work, run.face_judge), (DATA, FACE)
     ),
+    "mimicry-report": Section(
+        "Mimicry of people on whom nothing was chosen",
+        lambda run: mimicry.mimicry_report(run.data, run.work, run.face_judge, run.mesh_judge),
+        (DATA, FACE, MESH),
+    ),
     "mimicry-drawn": Section("Mimicry of drawn actors", lambda run: mimicry_drawn.mimicry_drawn(run.work)),
     "mimicry-speed": Section(
         "Speed of mimicry",

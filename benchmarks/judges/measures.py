@@ -46,6 +46,48 @@ INNER_LIPS = ((61, 67), (62, 66), (63, 65))  # upper, lower
 CHIN = (7, 8, 9)
 
 
+@dataclass(frozen=True)
+class Template:
+    """Indices of the points that `expression` reads, of one detector; pairs of lids and lips are (upper, lower)."""
+
+    right_eye_corners: tuple[int, ...]
+    left_eye_corners: tuple[int, ...]
+    right_lids: tuple[tuple[int, int], ...]
+    left_lids: tuple[tuple[int, int], ...]
+    right_brow: tuple[int, ...]
+    left_brow: tuple[int, ...]
+    mouth_corners: tuple[int, int]
+    outer_lips: tuple[tuple[int, int], ...]
+    inner_lips: tuple[tuple[int, int], ...]
+    chin: tuple[int, ...]
+
+
+IBUG = Template(
+    RIGHT_EYE_CORNERS,
+    LEFT_EYE_CORNERS,
+    RIGHT_LIDS,
+    LEFT_LIDS,
+    RIGHT_BROW,
+    LEFT_BROW,
+    MOUTH_CORNERS,
+    OUTER_LIPS,
+    INNER_LIPS,
+    CHIN,
+)
+MESH = Template(  # of the 478-point face mesh, the same places
+    (33, 133),
+    (362, 263),
+    ((160, 144), (158, 153)),
+    ((385, 380), (387, 373)),
+    (70, 63, 105, 66, 107),
+    (336, 296, 334, 293, 300),
+    (61, 291),
+    ((37, 84), (0, 17), (267, 314)),
+    ((82, 87), (13, 14), (312, 317)),
+    (148, 152, 377),
+)
+
+
 class Refusal(Exception):
     """Say what is wrong with the input and what to do next, in one line; `main` prints it and returns 2."""
 
@@ -64,16 +106,18 @@ class Readings:
     embeddings: np.ndarray
 
 
-def expression(landmarks: np.ndarray) -> np.ndarray:
-    """Give the measures named in MEASURES, (n, 6), of landmarks (n, 68, 2), in eye distances (ours).
+def expression(landmarks: np.ndarray, template: Template = IBUG) -> np.ndarray:
+    """Return the measures named in MEASURES, (n, 6), of landmarks (n, m, 2), in eye distances (ours).
+
+    `template` says which of the m points they are; the usual are the 68 of iBUG.
 
     The corners of both eyes give the line through the eyes and their distance; "down" is at right angles to it. Gaps
     are signed, lower minus upper, so the noise of a closed mouth does not add up to an opening. `lip_height` is from
     the upper lip's upper edge to the lower lip's lower edge, `brow_height` from the eye's corners up to its brow, `jaw`
     from the eyes down to the chin. Rows that are nan stay nan.
     """
-    right = landmarks[:, list(RIGHT_EYE_CORNERS)].mean(axis=1)
-    left = landmarks[:, list(LEFT_EYE_CORNERS)].mean(axis=1)
+    right = landmarks[:, list(template.right_eye_corners)].mean(axis=1)
+    left = landmarks[:, list(template.left_eye_corners)].mean(axis=1)
     across = left - right
     eyes = np.hypot(across[:, 0], across[:, 1])[:, None]
     along = across / eyes
@@ -89,14 +133,14 @@ def expression(landmarks: np.ndarray) -> np.ndarray:
         upper, lower = zip(*pairs, strict=True)
         return below(middle(upper), middle(lower))
 
-    corners = landmarks[:, MOUTH_CORNERS[1]] - landmarks[:, MOUTH_CORNERS[0]]
+    corners = landmarks[:, template.mouth_corners[1]] - landmarks[:, template.mouth_corners[0]]
     columns = (
-        gap(INNER_LIPS),
+        gap(template.inner_lips),
         np.hypot(corners[:, 0], corners[:, 1]),
-        gap(OUTER_LIPS),
-        (below(middle(RIGHT_BROW), right) + below(middle(LEFT_BROW), left)) / 2,
-        (gap(RIGHT_LIDS) + gap(LEFT_LIDS)) / 2,
-        below((right + left) / 2, middle(CHIN)),
+        gap(template.outer_lips),
+        (below(middle(template.right_brow), right) + below(middle(template.left_brow), left)) / 2,
+        (gap(template.right_lids) + gap(template.left_lids)) / 2,
+        below((right + left) / 2, middle(template.chin)),
     )
     return np.column_stack(columns) / eyes
 

@@ -218,6 +218,15 @@ def test_the_package_does_not_know_the_judge():
         assert "dlib" not in text and "benchmarks.judges" not in text, path
 
 
+def test_the_points_of_a_mesh_at_the_same_places_give_the_same_measures():
+    landmarks = np.stack([face(opening=0.3), face(brow=0.2)])
+    mesh = np.full((2, 478, 2), np.nan)
+    for name in judge.Template.__dataclass_fields__:
+        here, there = (np.ravel(getattr(template, name)) for template in (judge.IBUG, judge.MESH))
+        mesh[:, there] = landmarks[:, here]
+    assert_allclose(judge.expression(mesh, judge.MESH), judge.expression(landmarks), atol=1e-12)
+
+
 def test_readings_come_back_as_they_were(tmp_path):
     path = readings(tmp_path / "a.npz", ["a.png"], face()[None], np.ones((1, 128)))
     back = judge.read_readings(path)
