@@ -13,7 +13,6 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-from clips import replaced
 from flow_truth import RealPair
 from skimage.registration import optical_flow_ilk, optical_flow_tvl1
 from threadpoolctl import threadpool_limits
@@ -70,16 +69,6 @@ def of_shares(estimate: Callable[[AnyArray, AnyArray], tuple[AnyArray, AnyArray]
     return prepare
 
 
-def dis_hard(reference: Image, frame: Image) -> Prepared:
-    """Prepare DIS with the hard settings of `baselines.dis`, without the smoothing that follows there."""
-
-    def run() -> Displacement:
-        with replaced(baselines, "smoothed", lambda field: field):
-            return baselines.dis(reference, frame)
-
-    return run
-
-
 def _farneback(one: AnyArray, other: AnyArray) -> Displacement:
     return cv2.calcOpticalFlowFarneback(one, other, None, 0.5, 3, 15, 3, 5, 1.2, 0)
 
@@ -99,7 +88,7 @@ def _tvl1(one: AnyArray, other: AnyArray) -> Displacement:
 DIS, DEEPFLOW = "OpenCV DIS medium", "OpenCV DeepFlow"
 PEERS: dict[str, Prepare] = {
     DIS: of_codes(_dis_medium),
-    "OpenCV DIS hard": dis_hard,
+    "OpenCV DIS hard": lambda reference, frame: lambda: baselines.dis(reference, frame),
     DEEPFLOW: of_codes(_deepflow),
     "OpenCV TV-L1": of_codes(_tvl1),
     "OpenCV Farneback": of_codes(_farneback),

@@ -28,7 +28,6 @@ from morphspace.synthetic import Expression, Identity, drawn_actor
 from morphspace.synthetic.warped import FaceMarks, FlowPair, WarpKind, astronaut_face, flow_pair
 
 Part = Literal["tune", "report"]
-PARTS: tuple[Part, ...] = ("tune", "report")
 
 FACE_SETS: tuple[tuple[str, WarpKind, float, int], ...] = (  # name, kind, peak px, seed
     ("face 8", "smooth", 8.0, 0),
