@@ -97,7 +97,7 @@ PEERS: dict[str, Prepare] = {
 }
 PEER_SETTINGS = (
     "DIS: preset medium; hard: medium with finest scale 0, patch 12, stride 3, 50 descents, 20 refinements of alpha 60 "
-    "(baselines.dis, unsmoothed). DeepFlow, both TV-L1 and ILK: defaults. Farneback: pyramid 0.5, 3 levels, window 15, "
+    "(`--flow dis`). DeepFlow, both TV-L1 and ILK: defaults. Farneback: pyramid 0.5, 3 levels, window 15, "
     "3 iterations, polynomials 5 / 1.2, as in OpenCV's own samples."
 )
 SLOW = ("OpenCV TV-L1", "scikit-image TV-L1", "scikit-image ILK")
