@@ -22,8 +22,8 @@ from morphspace.face.regions import face_mask, rigid_region
 from morphspace.face.registration import register
 from morphspace.io.flow_fields import read_flow
 from morphspace.io.images import read_image
-from morphspace.io.scenes import find_scenes
 from morphspace.linear.quality import known_flow
+from morphspace.report.flow_scenes import find_scenes
 from morphspace.synthetic import Expression, Identity, drawn_actor
 from morphspace.synthetic.warped import FaceMarks, FlowPair, WarpKind, astronaut_face, flow_pair
 

@@ -17,7 +17,6 @@ import cv2
 import numpy as np
 
 from morphspace.arrays import AnyArray
-from morphspace.errors import BadInput
 from morphspace.flow.filters import BORDER
 from morphspace.grid.warp import spline_reader
 from morphspace.steps import keep_freed_memory
@@ -281,18 +280,3 @@ def _single_striped_smoother(picture: AnyArray, strength: float, edge_codes: flo
             return cv2.ximgproc.createFastGlobalSmootherFilter(picture, strength, edge_codes)
         finally:
             cv2.setNumThreads(threads)
-
-
-def named_backend(name: str) -> Backend:
-    """Give the primitives by name: "opencv", "torch" (a GPU where there is one), "torch:cpu" or "torch:cuda".
-
-    Raises `BadInput` for another name, where torch is not installed and where there is no such device.
-    """
-    if name == "opencv":
-        return OpenCVBackend()
-    library, _, device = name.partition(":")
-    if library != "torch":
-        raise BadInput(f"the flow does not run on {name!r}: choose opencv, torch, torch:cpu or torch:cuda")
-    from morphspace.flow import torch_backend  # an optional dependency, and slow to import
-
-    return torch_backend.TorchBackend(device or torch_backend.best_device())

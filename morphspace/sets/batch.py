@@ -18,10 +18,11 @@ from morphspace.io.recipes import read_recipe
 from morphspace.io.tables import write_metrics_table
 from morphspace.outcome import Outcome, write_record
 from morphspace.requests import VIDEO_SUFFIXES, recipe_verbs
-from morphspace.sets.complete import loadings_tables
+from morphspace.sets.complete import complete_set, loadings_tables
 from morphspace.sets.draw import make_stimulus
-from morphspace.sets.planned import PlannedSet, check_set, complete_set, keep_model
+from morphspace.sets.planned import PlannedSet, keep_model
 from morphspace.sets.pool import DrawingPiece, FolderPiece, Piece, made_here, made_in_processes, threads_of
+from morphspace.sets.protect import check_set
 from morphspace.sets.recipe_plan import FOLDERS_TABLE, Planned, planned_recipe
 from morphspace.steps import Step, Steps, core_count, worker_count
 from morphspace.stimuli.drawing import PICTURE_SUFFIXES, Drawing

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -16,13 +16,14 @@ from morphspace.outcome import RECORD_NAME, Outcome, versions, write_record_of
 from morphspace.report.frames import small
 from morphspace.report.set_page import CLIPPED_PERCENT, FOLDED_PERCENT, StimulusSet, places_shown, set_page
 from morphspace.requests import VIDEO_SUFFIXES
+from morphspace.sets.draw import make_stimulus
 from morphspace.sets.manifest import Column, write_manifest
+from morphspace.sets.planned import PlannedSet, keep_model
+from morphspace.sets.protect import check_set
+from morphspace.steps import Step, Steps, in_order, worker_count
 from morphspace.stimuli.drawing import PICTURE_SUFFIXES, Drawing
 from morphspace.stimuli.image_statistics import FIGURES, SPACES
 from morphspace.storage import digest_of_file, write_text
-
-if TYPE_CHECKING:
-    from morphspace.sets.planned import PlannedSet
 
 PAGE_NAME = "index.html"
 OUTLIER_Z = 3.5  # of the modified z-score (Iglewicz and Hoaglin 1993)
@@ -30,6 +31,34 @@ LEAST_FOR_OUTLIERS = 8  # stimuli; of fewer, none can be said to stand out
 NORMAL_MAD = 0.6745  # the median absolute deviation of a normal distribution, in its sd
 LEAST_SPREAD = 0.005  # of a statistic's median: three and a half times that is what an eye can just see
 LOADINGS_KINDS = ("loadings", "colour_loadings")  # where colours are drawn of others than the warp
+
+
+def write_set(planned: PlannedSet, folder: Path) -> Steps[Outcome]:
+    """Draw every stimulus of the set into the folder, with sidecars, manifest, loadings, page and record.
+
+    What is there already and whole is kept. Returns an `Outcome`. Raises `UnwritableFile` and `BadInput`.
+    """
+    check_set(folder, planned.drawings, planned.files, tuple(planned.tables))
+    keep_model(planned)
+    head = planned.sidecar_head()
+    rows: list[dict[str, Any]] = []
+    total = len(planned.drawings)
+
+    def make(drawing: Drawing) -> dict[str, Any]:
+        return make_stimulus(planned.model, drawing, head, folder)
+
+    stills = all(drawing.frame_rate_hz is None for drawing in planned.drawings)
+    if stills:
+        made = in_order(make, planned.drawings)
+    else:  # the frames of a video are drawn side by side, the videos one after the other
+        made = (
+            make_stimulus(planned.model, drawing, head, folder, worker_count())
+            for drawing in planned.drawings
+        )
+    for row in made:
+        rows.append(row)
+        yield Step("draw", len(rows), total)
+    return complete_set(folder, [planned], rows, planned.verb, planned.request)
 
 
 def complete_set(

@@ -14,9 +14,17 @@ from morphspace.arrays import Image, LoadingTable
 from morphspace.face.detector import Detector
 from morphspace.face.regions import WHOLE
 from morphspace.imitation import Comparison, compare
-from morphspace.imitation.faces_seen import FacesSeen, look_for_faces
 from morphspace.imitation.imitator import METHOD, imitator_of
-from morphspace.imitation.motions import Motion, at_rate_of, measured, opened, part_of, share_of
+from morphspace.imitation.motions import (
+    FacesSeen,
+    Motion,
+    at_rate_of,
+    look_for_faces,
+    measured,
+    opened,
+    part_of,
+    share_of,
+)
 from morphspace.imitation.table import (
     component_names,
     reasons_of,

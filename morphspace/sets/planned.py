@@ -15,31 +15,13 @@ from typing import Any
 from morphspace.errors import BadInput
 from morphspace.io.stimulus_sidecars import STIMULUS_FORMAT, STIMULUS_VERSION, UNITS
 from morphspace.model.model import MorphModel, load_model
-from morphspace.outcome import Outcome, versions
-from morphspace.requests import request_document, told_path
-from morphspace.sets.complete import complete_set
-from morphspace.sets.draw import make_stimulus
+from morphspace.outcome import versions
+from morphspace.requests import request_document
 from morphspace.sets.kept import digest_of_kept
 from morphspace.sets.manifest import Column, described_columns
-from morphspace.sets.protect import check_replaced, check_set, files_named
-from morphspace.steps import Step, Steps, in_order, worker_count
+from morphspace.sets.protect import files_named
 from morphspace.stimuli.drawing import Drawing
 from morphspace.storage import digest_of_json, make_folder
-
-__all__ = [
-    "PlannedSet",
-    "check_kept_model",
-    "check_replaced",
-    "check_set",
-    "complete_set",
-    "files_named",
-    "keep_model",
-    "make_stimulus",
-    "plan_of",
-    "request_document",
-    "told_path",
-    "write_set",
-]
 
 KEPT_STEMS = ("manifest", "loadings", "colour_loadings", "record", "index")  # a set's own files
 
@@ -174,31 +156,3 @@ def check_kept_model(model: MorphModel, path: Path) -> None:
         raise BadInput(
             f"{path} is in the way, and is another model: choose another output folder, or move it away"
         )
-
-
-def write_set(planned: PlannedSet, folder: Path) -> Steps[Outcome]:
-    """Draw every stimulus of the set into the folder, with sidecars, manifest, loadings, page and record.
-
-    What is there already and whole is kept. Returns an `Outcome`. Raises `UnwritableFile` and `BadInput`.
-    """
-    check_set(folder, planned.drawings, planned.files, tuple(planned.tables))
-    keep_model(planned)
-    head = planned.sidecar_head()
-    rows: list[dict[str, Any]] = []
-    total = len(planned.drawings)
-
-    def make(drawing: Drawing) -> dict[str, Any]:
-        return make_stimulus(planned.model, drawing, head, folder)
-
-    stills = all(drawing.frame_rate_hz is None for drawing in planned.drawings)
-    if stills:
-        made = in_order(make, planned.drawings)
-    else:  # the frames of a video are drawn side by side, the videos one after the other
-        made = (
-            make_stimulus(planned.model, drawing, head, folder, worker_count())
-            for drawing in planned.drawings
-        )
-    for row in made:
-        rows.append(row)
-        yield Step("draw", len(rows), total)
-    return complete_set(folder, [planned], rows, planned.verb, planned.request)

@@ -19,10 +19,10 @@ from morphspace.io.placeholders import filled
 from morphspace.io.recipes import Job, Recipe
 from morphspace.model.model import MorphModel, load_model
 from morphspace.outcome import versions
-from morphspace.requests import Verb, request_from, verb_named
+from morphspace.requests import Verb, request_document, request_from, verb_named
 from morphspace.sets.folders import FolderJob
 from morphspace.sets.manifest import FIRST_COLUMNS, LAST_COLUMNS, Column
-from morphspace.sets.planned import PlannedSet, check_kept_model, check_names, request_document
+from morphspace.sets.planned import PlannedSet, check_kept_model, check_names
 from morphspace.sets.sources import file_names
 from morphspace.settings import WrongSetting
 from morphspace.steps import Step, Steps

@@ -16,7 +16,8 @@ import numpy as np
 from morphspace.errors import BadInput
 from morphspace.model.model import MorphModel
 from morphspace.outcome import Outcome
-from morphspace.requests import ClipText
+from morphspace.requests import ClipText, request_document
+from morphspace.sets.complete import write_set
 from morphspace.sets.continuum import (
     COLUMNS,
     LINEAR,
@@ -28,7 +29,8 @@ from morphspace.sets.continuum import (
     spaced_series,
     unevenness_of,
 )
-from morphspace.sets.planned import PlannedSet, files_named, request_document, write_set
+from morphspace.sets.planned import PlannedSet
+from morphspace.sets.protect import files_named
 from morphspace.steps import Steps
 from morphspace.stimuli.continuum import (
     POWERS,

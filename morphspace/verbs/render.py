@@ -37,7 +37,7 @@ class RenderRequest:
 
 def run(request: RenderRequest) -> Steps[Outcome]:
     """Render and write. Returns an `Outcome`."""
-    from morphspace.sets.planned import write_set
+    from morphspace.sets.complete import write_set
 
     video = next((one for one in VIDEO_SUFFIXES if one == request.output.suffix.lower()), None)
     if request.output.suffix and video is None and not request.output.is_dir():
@@ -98,7 +98,7 @@ def _lone_video(planned: PlannedSet, output: Path) -> Steps[Outcome]:
     from morphspace.outcome import RECORD_NAME, Outcome, write_record
     from morphspace.report.set_page import CLIPPED_PERCENT
     from morphspace.sets.draw import make_stimulus
-    from morphspace.sets.planned import check_replaced
+    from morphspace.sets.protect import check_replaced
     from morphspace.steps import Step, worker_count
     from morphspace.storage import make_folder
 

@@ -35,7 +35,7 @@ class SampleRequest:
 
 def run(request: SampleRequest) -> Steps[Outcome]:
     """Write the set of stimuli. Returns an `Outcome`."""
-    from morphspace.sets.planned import write_set
+    from morphspace.sets.complete import write_set
 
     planned = yield from plan(request)
     return (yield from write_set(planned, request.output))

@@ -40,7 +40,7 @@ class SweepRequest:
 
 def run(request: SweepRequest) -> Steps[Outcome]:
     """Write the set of stimuli: pictures pcNNN_AMOUNTsd and a video pcNNN a component. Returns an `Outcome`."""
-    from morphspace.sets.planned import write_set
+    from morphspace.sets.complete import write_set
 
     planned = yield from plan(request)
     return (yield from write_set(planned, request.output))

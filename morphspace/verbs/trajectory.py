@@ -12,10 +12,11 @@ from morphspace.io.sidecars import read_json_object
 from morphspace.io.tables import LOADINGS_FORMAT, write_loadings_table
 from morphspace.model.model import MorphModel, load_model
 from morphspace.outcome import Outcome, versions
-from morphspace.requests import VIDEO_SUFFIXES
+from morphspace.requests import VIDEO_SUFFIXES, request_document
+from morphspace.sets.complete import write_set
 from morphspace.sets.kept import digest_of_kept
 from morphspace.sets.motions import COLUMNS, MadeMotions, made_motions, told_of
-from morphspace.sets.planned import PlannedSet, plan_of, request_document, write_set
+from morphspace.sets.planned import PlannedSet, plan_of
 from morphspace.sets.protect import check_file
 from morphspace.sets.sources import motion_name
 from morphspace.steps import Steps

@@ -9,9 +9,10 @@ from numpy.testing import assert_allclose, assert_array_equal
 from scipy import ndimage
 
 from morphspace.errors import BadInput
-from morphspace.flow.backends import OpenCVBackend, named_backend
+from morphspace.flow.backends import OpenCVBackend
 from morphspace.flow.constraints import Channels
 from morphspace.flow.filters import gaussian_derivative
+from morphspace.flow.methods import named_backend
 from morphspace.flow.multiscale import method
 from morphspace.flow.presets import PRESETS, Preset
 from morphspace.grid import warp

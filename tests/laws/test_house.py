@@ -2,7 +2,10 @@
 
 import re
 import tomllib
+from graphlib import TopologicalSorter
 from pathlib import Path
+
+import grimp
 
 ROOT = Path(__file__).parents[2]
 
@@ -22,3 +25,10 @@ def test_every_room_stands_in_a_layer():
     found = {path.stem for path in package.glob("*.py") if not path.stem.startswith("__")}
     found |= {path.parent.name for path in package.glob("*/__init__.py")}
     assert named == found
+
+
+def test_no_module_imports_itself_by_a_detour():
+    """Imports inside functions and those for types count too."""
+    graph = grimp.build_graph("morphspace", cache_dir=None)
+    imported = {module: graph.find_modules_directly_imported_by(module) for module in graph.modules}
+    TopologicalSorter(imported).prepare()  # raises CycleError, with the circle

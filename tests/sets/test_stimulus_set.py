@@ -21,9 +21,9 @@ from morphspace.model.morph import Morph
 from morphspace.outcome import versions
 from morphspace.report.set_page import sheet_columns
 from morphspace.requests import told_path
-from morphspace.sets.complete import flagged, notes_on
+from morphspace.sets.complete import flagged, notes_on, write_set
 from morphspace.sets.manifest import Column
-from morphspace.sets.planned import PlannedSet, check_names, plan_of, write_set
+from morphspace.sets.planned import PlannedSet, check_names, plan_of
 from morphspace.steps import result_of
 from morphspace.stimuli.drawing import Drawing
 from morphspace.stimuli.image_statistics import image_statistics
