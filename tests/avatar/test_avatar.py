@@ -466,32 +466,6 @@ def test_too_few_expressions_for_landmarks_are_not_answered_with_a_verb_that_nee
     assert "the avatar is called anna, as one of its sources is" in ran.output
 
 
-@pytest.mark.usefixtures("without_networks")
-@pytest.mark.parametrize(
-    "names, options, word",
-    [
-        (("anna",), (), "at least 2"),
-        (("anna", "plain"), (), "no keypoints"),
-        (("anna", "ben"), ("--weights", "1,2,3"), "3 weights"),
-        (("anna", "ben"), ("--weights", "0,0"), "sum to 0"),
-        (("anna", "ben"), ("--weights", "1,x"), "not a list of numbers"),
-        (("anna", "ben"), ("--weights", "1e308,1e308"), "smaller"),
-        (("anna", "ben"), ("--identity", " "), "no name"),
-        (("anna", "ben"), ("--sharpen", "10"), "0 to 3"),
-        (("anna", "ben"), ("--expressions", "few"), "neither all nor"),
-        (("anna", "ben"), ("--surround", "carl"), "carl"),
-        (("anna", "gone"), (), "gone.morph"),
-    ],
-)
-def test_what_cannot_be_blended_ends_in_one_line_and_leaves_nothing(saved, tmp_path, names, options, word):
-    out = tmp_path / "out" / "avatar.morph"
-    given = [str(saved.get(name, tmp_path / f"{name}.morph")) for name in names]
-    ran = CliRunner().invoke(main, ["blend-avatar", *given, "-o", str(out), *options])
-    assert ran.exit_code == 2
-    assert word in ran.output and len(ran.output.strip().splitlines()) == 1
-    assert not out.parent.exists()
-
-
 @pytest.mark.slow  # it blends twice
 @pytest.mark.usefixtures("without_networks")
 def test_a_model_file_that_is_cut_short_meanwhile_changes_nothing(saved, tmp_path):
@@ -535,10 +509,3 @@ def test_a_version_that_goes_nowhere_is_refused_not_drawn(mixer, anna):
         mixer.mixed([nowhere, nowhere])
     with pytest.raises(BadInput, match="not finite"):
         mixer.picture(0, nowhere)
-
-
-def test_an_output_that_is_an_input_is_refused(saved):
-    ran = CliRunner().invoke(
-        main, ["blend-avatar", str(saved["anna"]), str(saved["ben"]), "-o", str(saved["ben"])]
-    )
-    assert ran.exit_code == 2 and "would be lost" in ran.output

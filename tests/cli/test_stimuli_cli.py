@@ -133,36 +133,6 @@ def test_a_digest_is_that_of_the_file_as_it_is_now(tmp_path):
     assert digest_of_kept(tmp_path / "a") != first
 
 
-@pytest.mark.parametrize(
-    ("words", "mentioned"),
-    [
-        (["caricature", "MODEL", "-o", "OUT"], ["neither was given"]),
-        (["caricature", "MODEL", "--loadings", "TABLE", "--clip", "x", "-o", "OUT"], ["both were given"]),
-        (["caricature", "MODEL", "--loadings", "TABLE", "--gain", "1,x", "-o", "OUT"], ["1,x"]),
-        (
-            ["caricature", "MODEL", "--loadings", "TABLE", "--gain", "inf", "-o", "OUT"],
-            ["--gain is 'inf'", "a list"],
-        ),
-        (["caricature", "MODEL", "--loadings", "TABLE", "--gain", "1e9", "-o", "OUT"], ["at most 1000"]),
-        (
-            ["caricature", "MODEL", "--loadings", "TABLE", "--components", "2-9", "-o", "OUT"],
-            ["2-9", "1 to 3"],
-        ),
-        (["caricature", "MODEL", "--loadings", "TABLE", "--region", "eyes", "-o", "OUT"], ["keypoints"]),
-        (["caricature", "MODEL", "--loadings", "TABLE", "--region", "no.png", "-o", "OUT"], ["no.png"]),
-        (["caricature", "MODEL", "--loadings", "TABLE", "--frame", "zz", "-o", "OUT"], ["'zz'", "frame_000"]),
-        (["grid", "MODEL", "--components", "1", "4", "-o", "OUT"], ["1 and 4", "1 to 3"]),
-        (["sample", "MODEL", "--max-sd", "0.001", "-o", "OUT"], ["0.001"]),
-        (["place", "MODEL", "nowhere", "-o", "OUT"], ["nowhere"]),
-        (["replay", "TABLE"], ["not JSON"]),
-    ],
-)
-def test_bad_words_get_one_line_and_write_nothing(folder, tmp_path, words, mentioned):
-    places = {"MODEL": folder / "a.morph", "TABLE": folder / "t.csv", "OUT": tmp_path / "out"}
-    refused(run(*(places.get(word, word) for word in words)), *mentioned)
-    assert not (tmp_path / "out").exists()
-
-
 def test_a_broken_sidecar_is_refused(folder, tmp_path):
     words = ["sample", folder / "a.morph", "-n", "1", "-o", tmp_path]
     assert run(*words).exit_code == 0

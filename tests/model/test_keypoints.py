@@ -1,7 +1,6 @@
 """Laws of keypoints: what is set is kept, points follow the warps, and what places no face is refused."""
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -301,32 +300,6 @@ def test_without_a_source_the_present_points_are_shown_and_nothing_is_written(sa
 def test_setting_again_says_how_far_they_moved(saved, command):
     command(saved, "--set", "20,30 41,29 30,44")
     assert "moved by 3.0, 0.0, 0.0 px" in command(saved, "--set", "20,33 41,29 30,44").output
-
-
-@pytest.mark.parametrize(
-    ("words", "mentioned"),
-    [
-        (["--set", "1,2 3,4"], "not three points"),
-        (["--set", "1,2 3,4 5,x"], "not three points"),
-        (["--set", "1,2 3,4 nan,5"], "not three points"),
-        (["--set", "20,30 41,29 30,144"], "the philtrum at 30.0,144.0 lies outside the mean face of 60x72"),
-        (["--set", "20,30 20,30 30,44"], "both eyes are at 20,30"),
-        (["--set", "20,30 41,29 90,44", "--on", "reference"], "reference frame's picture of 64x80"),
-        (["--set", "20,30 41,29 30,44", "--auto"], "--auto and --set were given"),
-        (["--set", "20,30 41,29 30,44", "--negate-y"], "--negate-y was given without --from"),
-        (["--auto", "--lip", "upper-lip"], "--auto finds the philtrum"),
-        (["--lip", "upper-lip"], "no keypoints were given"),
-        (["--from", "nowhere.csv"], "nowhere.csv"),
-        (["--set", "20,30 41,29 30,44", "-o", "other.png"], "should end in .morph"),
-    ],
-)
-def test_bad_input_is_one_line_and_leaves_the_model(saved, command, words, mentioned):
-    before = saved.read_bytes()
-    outcome = command(saved, *words)
-    assert outcome.exit_code == 2 and mentioned in outcome.output
-    assert len(outcome.output.strip().splitlines()) == 1
-    assert saved.read_bytes() == before
-    assert [path.name for path in Path(saved).parent.iterdir()] == ["drawn.morph"]
 
 
 def test_the_command_has_help(command):

@@ -376,13 +376,6 @@ def test_the_plan_is_told_before_the_work_and_not_when_quiet(lab, tmp_path):
     assert "24 of them are in" in again.stderr
 
 
-@pytest.mark.parametrize("words", [["--workers", "0"], ["--worker", "2"], []])
-def test_bad_words_are_one_line(words, lab, tmp_path):
-    output = ["-o", tmp_path / "out"] if words else []
-    result = run("batch", recipe(lab, CROSSED), *output, *words)
-    assert result.exit_code == 2 and result.stderr.count("\n") == 1
-
-
 # processes
 
 

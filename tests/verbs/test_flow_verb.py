@@ -24,7 +24,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 from morphspace.cli.main import main
 from morphspace.errors import BadInput, SizeMismatch, UnwritableFile
 from morphspace.flow import Flow, methods, names
-from morphspace.flow.pairs import MIN_SIDE_PX, checked_pair, checked_picture, is_featureless, is_grey
+from morphspace.flow.pairs import checked_pair, checked_picture, is_featureless, is_grey
 from morphspace.flow.starts import WITHOUT_START, StartKind, flow_between, turned_round
 from morphspace.grid import warp
 from morphspace.io import flow_fields
@@ -428,81 +428,6 @@ def raw_exr(path, image):
     target = oiio.ImageOutput.create(str(path))
     spec = oiio.ImageSpec(image.shape[1], image.shape[0], image.shape[2], "float")
     assert target.open(str(path), spec) and target.write_image(image) and target.close()
-
-
-@pytest.fixture
-def bad(folder, picture):
-    """Everything that may be given for a picture, a field or a place, and is none."""
-    write_image(folder / "other.png", picture(HEIGHT, WIDTH + 1))
-    write_image(folder / "small.png", picture(MIN_SIDE_PX - 1, WIDTH))
-    image = picture(HEIGHT, WIDTH)
-    for name, value in (("nan", np.nan), ("infinite", np.inf), ("glaring", 1e30)):
-        image[3, 4] = value
-        raw_exr(folder / f"{name}.exr", image)
-        raw_exr(folder / f"{name}.tif", image)
-    (folder / "empty.png").write_bytes(b"")
-    (folder / "folder.flo").mkdir()
-    (folder / "taken.back.flo").mkdir()
-    ones = np.ones((HEIGHT, WIDTH), np.float32)
-    write_flow(folder / "far.flo", field_of(1e6, 0), ones)
-    write_flow(folder / "other.flo", field_of(0, 0)[1:], ones[1:])
-    (folder / "cut.flo").write_bytes((folder / "far.flo").read_bytes()[:-1])
-    return folder
-
-
-@pytest.mark.parametrize(
-    ("words", "mentioned"),
-    [
-        ("a.png other.png -o o.flo", "64x48 65x48 a.png other.png"),
-        ("a.png small.png -o o.flo", "small.png 64x15 16"),
-        ("small.png a.png -o o.flo", "small.png 64x15 16"),
-        ("a.png nan.exr -o o.flo", "nan.exr finite"),
-        ("nan.tif a.png -o o.flo", "nan.tif finite"),
-        ("a.png infinite.exr -o o.flo", "infinite.exr finite"),
-        ("a.png glaring.tif -o o.flo", "glaring.tif 1e+30"),
-        ("glaring.exr glaring.exr -o o.flo", "glaring.exr"),
-        ("nowhere.png b.png -o o.flo", "nowhere.png"),
-        ("a.png nowhere.png -o new/o.flo", "nowhere.png"),
-        ("a.png empty.png -o o.flo", "empty.png empty"),
-        ("a.png folder.flo -o o.flo", "folder.flo"),
-        ("a.png b.png -o o.png", "o.png .flo .exr"),
-        ("a.png b.png -o o", ".flo .exr"),
-        ("a.png b.png -o folder.flo", "folder.flo folder"),
-        ("a.png b.png -o a.png/o.flo", "a.png"),
-        ("a.png b.png -o taken.flo --both", "taken.back.flo"),
-        ("a.png b.png -o o.flo --picture a.png", "a.png lost"),
-        ("a.png b.png -o o.flo --picture p.jpg", "p.jpg .png"),
-        ("a.png b.png -o o.flo --picture a.png/p.png", "a.png"),
-        ("nan.exr b.png -o nan.exr", "nan.exr lost"),
-        ("a.png b.png -o other.flo --start other.flo", "other.flo lost"),
-        ("a.png b.png -o o.flo --start nowhere.flo", "nowhere.flo"),
-        ("a.png b.png -o o.flo --start a.png", "a.png .flo"),
-        ("a.png b.png -o o.flo --start other.flo", "other.flo 64x47 64x48"),
-        ("a.png b.png -o o.flo --start cut.flo", "cut.flo cut short"),
-        ("a.png b.png -o o.flo --start far.flo", "far.flo 1e+06"),
-        ("a.png b.png -o o.flo --preset magic", "magic"),
-        ("a.png b.png -o o.flo --preset dis --preset tvl1", "2 presets"),
-        ("a.png b.png", "-o"),
-        ("a.png -o o.flo", "1 given"),
-        ("", "0 given"),
-        ("a.png b.png b.png -o o.flo", "3 given"),
-        ("--bench nowhere", "nowhere"),
-        ("--bench a.png", "a.png"),
-        ("--bench .", "flow10.flo"),
-        ("--bench . a.png b.png", "--bench"),
-        ("--bench . --both", "--bench"),
-        ("--bench . --landmarks a.png b.png", "--bench --landmarks"),
-        ("--bench . --backend torch --preset paper", "paper torch"),
-        ("a.png b.png -o o.flo --landmarks a.png b.png", "a.png .tem"),
-        ("a.png b.png -o o.flo --landmarks a.tem nowhere.tem", "a.tem"),
-        ("a.png b.png -o o.flo --backend abacus", "abacus"),
-    ],
-)
-def test_bad_words_get_one_line_and_write_nothing(bad, monkeypatch, words, mentioned):
-    monkeypatch.chdir(bad)
-    before = {path: path.read_bytes() for path in bad.rglob("*") if path.is_file()}
-    refused(run(*words.split()), *mentioned.split(" "))
-    assert {path: path.read_bytes() for path in bad.rglob("*") if path.is_file()} == before
 
 
 @pytest.mark.parametrize("preset", names.NAMES)
