@@ -68,6 +68,7 @@ Frames = Annotated[
     Help("Only this frame; may be given again [default: all]."),
 ]
 Seed = Annotated[int, Ge(0), Help("The same seed gives the same result.")]
+MimicryMethod = Literal["auto", "paper", "map", "transfer", "guided"]
 VideoSuffix = Literal[".mp4", ".mkv"]
 VideoOrPictures = Annotated[
     VideoSuffix | None,

@@ -385,7 +385,7 @@ def _shown(given: Any) -> str:
         return "empty"
     if isinstance(given, str) and re.fullmatch(NUMBER_PATTERN, given):
         return given
-    shown = repr(given) if not isinstance(given, tuple) or len(given) != 1 else repr(given[0])
+    shown = repr(list(given) if isinstance(given, tuple) else given)
     return shown if len(shown) <= LONGEST_SHOWN else f"{shown[: LONGEST_SHOWN - 3]}..."
 
 

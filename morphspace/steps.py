@@ -42,11 +42,15 @@ _WORKERS: ContextVar[int | Executor | None] = ContextVar("workers", default=None
 
 @dataclass(frozen=True)
 class Step:
-    """A finished piece of long work: `stage` says what is being done, `done` of `total` pieces are finished."""
+    """A finished piece of long work: `stage` says what is being done, `done` of `total` pieces are finished.
+
+    `lines` are for a person who watches, such as the plan of what follows.
+    """
 
     stage: str
     done: int
     total: int
+    lines: tuple[str, ...] = ()
 
 
 Steps = Generator[Step, None, Result]

@@ -11,24 +11,12 @@ import re
 import signal
 import sys
 import threading
-from collections.abc import Callable
-from functools import wraps
 from typing import TYPE_CHECKING, Any
 
 import click
 
 from morphspace import __version__
-from morphspace.cli.avatar import add_avatar
-from morphspace.cli.batch import add_batch
-from morphspace.cli.build import build_model_options
-from morphspace.cli.flow import flow_options
-from morphspace.cli.keypoints import add_keypoints
-from morphspace.cli.measure import add_measure
-from morphspace.cli.mimic import add_mimic
-from morphspace.cli.models import add_models
-from morphspace.cli.motion import add_motion
 from morphspace.cli.options import parameters_of, request_of_words
-from morphspace.cli.stimuli import add_stimuli
 from morphspace.errors import BadInput, MorphspaceError
 from morphspace.requests import GROUPS, Verb, verb_named, verb_names
 
@@ -40,19 +28,6 @@ PROGRESS_AFTER_S = 2.0
 PROGRESS_EVERY_S, IN_A_LOG_EVERY_S = 0.1, 30.0  # on a terminal; in a file, where each is a line more
 INTERRUPTED = 130
 WORKERS_HELP = "Frames, or stimuli of a batch, to work on at a time [default: one a core]."
-DECLARED = [
-    "caricature",
-    "demo",
-    "encode",
-    "grid",
-    "info",
-    "make-actors",
-    "place",
-    "reconstruct",
-    "render",
-    "sample",
-    "sweep",
-]
 
 
 class Verbs(click.Group):
@@ -65,18 +40,28 @@ class Verbs(click.Group):
     def list_commands(self, ctx: click.Context) -> list[str]:
         """Give the names of the verbs of this group, and of the groups inside it."""
         names = [name.removeprefix(self.prefix) for name in verb_names() if name.startswith(self.prefix)]
-        names = [name for name in names if name in DECLARED or name in self.commands]
         return sorted({name.partition(" ")[0] for name in names})
 
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
         """Make the command of a verb from the declaration of its request."""
-        if cmd_name in self.commands:
-            return self.commands[cmd_name]
         if cmd_name not in self.list_commands(ctx):
             return None
         if not self.prefix and cmd_name in GROUPS:
             return Verbs(cmd_name, prefix=f"{cmd_name} ", help=GROUPS[cmd_name])
         return _command(cmd_name, verb_named(self.prefix + cmd_name))
+
+    def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        """List the verbs with the first sentence of their help, without making their options."""
+        names = self.list_commands(ctx)
+        helps = {name: GROUPS.get(name) or verb_named(self.prefix + name).help for name in names}
+        limit = formatter.width - 6 - max(map(len, names))
+        with formatter.section("Commands"):
+            formatter.write_dl(
+                [
+                    (name, click.Command(name, help=text).get_short_help_str(limit))
+                    for name, text in helps.items()
+                ]
+            )
 
     def main(self, *args: Any, **extra: Any) -> Any:
         """Run, and exit: a wrong usage is one line."""
@@ -123,7 +108,7 @@ def _tidy_up_when_asked_to_stop() -> None:
 def _command(name: str, verb: Verb) -> click.Command:
     """Make the command of a verb: its own parameters, and those that all verbs share."""
     shared = [
-        click.Option(["--workers"], type=click.IntRange(1, 1024), help=WORKERS_HELP),
+        click.Option(["--workers"], type=click.IntRange(1, 1024), metavar="N", help=WORKERS_HELP),
         click.Option(["--quiet"], is_flag=True, help="Print nothing but errors."),
         click.Option(["--json", "as_json"], is_flag=True, help="Print the outcome as JSON, for machines."),
         click.Option(["--debug"], is_flag=True, help="Show a traceback when something fails."),
@@ -142,9 +127,9 @@ def _run(
     """Run the verb with the words that were given, show its outcome, and give the exit code."""
     _tidy_up_when_asked_to_stop()
     try:
+        request = request_of_words(verb.request, words)
         from morphspace.steps import using_workers
 
-        request = request_of_words(verb.request, words)
         with using_workers(workers):
             outcome = _driven(verb.run(request), quiet or as_json)
     except KeyboardInterrupt:
@@ -173,50 +158,6 @@ def _run(
     return outcome.exit_code
 
 
-def verb(command: Callable[..., Steps[Outcome]]) -> Callable[..., None]:
-    """Give a command the options all verbs share, and run the steps it returns."""
-
-    @click.option("--workers", type=click.IntRange(1, 1024), help=WORKERS_HELP)
-    @click.option("--quiet", is_flag=True, help="Print nothing but errors.")
-    @click.option("--json", "as_json", is_flag=True, help="Print the outcome as JSON, for machines.")
-    @click.option("--debug", is_flag=True, help="Show a traceback when something fails.")
-    @wraps(command)
-    def wrapped(
-        *args: Any, workers: int | None, quiet: bool, as_json: bool, debug: bool, **options: Any
-    ) -> None:
-        _tidy_up_when_asked_to_stop()
-        try:
-            from morphspace.steps import using_workers
-
-            with using_workers(workers):
-                outcome = _driven(command(*args, **options), quiet or as_json)
-        except KeyboardInterrupt:
-            if debug:
-                raise
-            _fail(
-                "stopped; every file there is whole. The same command goes on where it can",
-                INTERRUPTED,
-                "Interrupted" if as_json else None,
-            )
-        except MorphspaceError as error:
-            if debug:
-                raise
-            _fail(
-                str(error), 2 if isinstance(error, BadInput) else 1, type(error).__name__ if as_json else None
-            )
-        except Exception as error:
-            if debug:
-                raise
-            _fail(
-                f"a fault of morphspace ({type(error).__name__}: {error}); run again with --debug and report it",
-                1,
-                "Fault" if as_json else None,
-            )
-        _show(outcome, quiet, as_json)
-
-    return wrapped
-
-
 def _driven(steps: Steps[Outcome], silent: bool) -> Outcome:
     """Run the steps with a progress bar a stage; bars appear only for work of more than two seconds."""
     from morphspace.steps import result_of
@@ -229,6 +170,8 @@ def _driven(steps: Steps[Outcome], silent: bool) -> Outcome:
 
     def on_step(step: Step) -> None:
         nonlocal stage, bar
+        for line in step.lines:
+            click.echo(line, err=True)
         if bar is None or step.stage != stage or step.done < bar.n:
             if bar is not None:
                 bar.close()
@@ -271,36 +214,3 @@ def _fail(message: str, code: int, kind: str | None = None) -> None:
         error = {"exit_code": code, "kind": kind, "message": line}
         click.echo(json.dumps({"error": error}, indent=2, sort_keys=True))
     sys.exit(code)
-
-
-@main.command("build-model")
-@build_model_options
-@verb
-def build_model(clip: tuple[str, ...], **options: Any) -> Steps[Outcome]:
-    """Build a face model from CLIP: image files, a folder, a quoted glob, or a video."""
-    from morphspace.verbs import build_model as verb_module
-
-    return verb_module.run(verb_module.BuildModelRequest(sources=clip, **options))
-
-
-@main.command("flow")
-@flow_options
-@verb
-def flow(**options: Any) -> Steps[Outcome]:
-    """Find where each point of picture A is found in picture B, in px on A's grid."""
-    from morphspace.verbs import flow as verb_module
-
-    return verb_module.run_words(**options)
-
-
-for add in (
-    add_avatar,
-    add_batch,
-    add_keypoints,
-    add_measure,
-    add_mimic,
-    add_models,
-    add_motion,
-    add_stimuli,
-):
-    add(main, verb)

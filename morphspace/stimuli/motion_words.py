@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import textwrap
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Literal
+
+HELP_WIDTH = 96  # characters, of a help page of 100
 
 
 @dataclass(frozen=True)
@@ -56,3 +59,13 @@ WORDS: Mapping[str, Word] = {
 
 GUIDED = ("timing", "caricature")
 """The operations that take a guide."""
+
+
+def operations_help() -> str:
+    """Write one line for each operation, or more where it is long: its form, and what it does."""
+    forms = {word.form(name): word.told for name, word in WORDS.items()}
+    width = max(map(len, forms)) + 2
+    return "\n".join(
+        textwrap.fill(told, HELP_WIDTH, initial_indent=form.ljust(width), subsequent_indent=" " * width)
+        for form, told in forms.items()
+    )

@@ -2,28 +2,53 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
 
-from morphspace.outcome import Outcome
-from morphspace.sets.batch import MOST_UNASKED, planned_batch, write_batch
-from morphspace.steps import Steps
+from annotated_types import Ge, Le
+
+from morphspace.requests import Folder, declared
+from morphspace.settings import Argument, Help, NotAnOption, Option
+
+if TYPE_CHECKING:
+    from morphspace.outcome import Outcome
+    from morphspace.steps import Steps
 
 
-@dataclass(frozen=True)
+@declared
 class BatchRequest:
-    """Make the stimuli of `recipe` in the folder `output`, in `workers` processes (None: one a core).
+    """Make the stimulus set of RECIPE: a .yaml that crosses factors, or a .csv with one stimulus a row.
 
-    `most` is how many stimuli are made without asking, None for any number.
+    Everything is checked before anything is drawn. A batch that was stopped goes on with the same command.
     """
 
-    recipe: Path
-    output: Path
-    workers: int | None = None
-    most: int | None = MOST_UNASKED
+    recipe: Annotated[Path, Argument("RECIPE"), Help("The recipe (.yaml, .csv).")]
+    output: Folder
+    workers: Annotated[
+        int | None,
+        Ge(1),
+        Le(1024),
+        NotAnOption(),
+        Help("Processes that draw [default: as the verbs' --workers]."),
+    ] = None
+    is_plan: Annotated[
+        bool, Option("--plan"), Help("Show what would be made, how long and how large; make nothing.")
+    ] = False
+    is_meant: Annotated[bool, Option("--yes"), Help("Make more than 100,000 stimuli without asking.")] = False
 
 
 def run(request: BatchRequest) -> Steps[Outcome]:
-    """Plan the recipe and make all of it. Returns an `Outcome`."""
-    batch = yield from planned_batch(request.recipe, request.output, request.workers, request.most)
-    return (yield from write_batch(batch))
+    """Plan the recipe and make all of it, or show the plan alone. Returns an `Outcome`."""
+    from morphspace.outcome import Outcome
+    from morphspace.sets import batch
+    from morphspace.steps import Step
+
+    unasked = batch.MOST_PLANNED if request.is_plan else batch.MOST_UNASKED
+    most = None if request.is_meant else unasked
+    planned = yield from batch.planned_batch(request.recipe, request.output, request.workers, most)
+    estimate = batch.estimated(planned)
+    lines = planned.lines(estimate)
+    if request.is_plan:
+        return Outcome(lines, {"output": str(request.output), **planned.document(estimate)})
+    yield Step("plan", 1, 1, lines)
+    return (yield from batch.write_batch(planned))

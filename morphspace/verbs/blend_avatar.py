@@ -3,29 +3,24 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from dataclasses import fields
 from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Literal
 
-from morphspace.avatar import Avatar, AvatarSettings, blend_steps
-from morphspace.avatar.build import checked
-from morphspace.avatar.originals import check_clips
-from morphspace.avatar.settings import AUTO, COMPONENTS, EXPRESSION, EXPRESSIONS, MEAN
-from morphspace.cache import work_folder
+from annotated_types import Ge, Gt, Le
+
 from morphspace.errors import BadInput
-from morphspace.face.detector import detector_for
-from morphspace.flow import methods
-from morphspace.io.framing import FramedClip
-from morphspace.model.encode import framed_for
-from morphspace.model.model import MorphModel, load_model
-from morphspace.outcome import Outcome, versions
-from morphspace.report.avatar_page import avatar_page, avatar_result, landmark_words
-from morphspace.sets.models import held_models
-from morphspace.sets.protect import check_file
-from morphspace.steps import Steps
-from morphspace.storage import digest_of_file, make_folder, write_text
-from morphspace.transfer.mimicry import MAX_SD
+from morphspace.flow.names import DEFAULT, NAMES
+from morphspace.requests import ClipText, MimicryMethod, declared
+from morphspace.settings import Argument, Help, OneOf, Option, Spelled
 
-IDENTITY = "avatar"
+if TYPE_CHECKING:
+    from morphspace.avatar import Avatar
+    from morphspace.io.framing import FramedClip
+    from morphspace.model.model import MorphModel
+    from morphspace.outcome import Outcome
+    from morphspace.steps import Steps
+
 SUFFIX = ".morph"
 NO_FINDER = (
     "blended without what finds faces: the keypoints are the sources', and no landmarks were learned; run `morphspace "
@@ -33,43 +28,102 @@ NO_FINDER = (
 )
 
 
-@dataclass(frozen=True)
+@declared
 class BlendAvatarRequest:
-    """Blend `models`, .morph files with keypoints, into the model `output`.
+    """Blend the identities of several models with keypoints into one face that belongs to nobody."""
 
-    `report` the page, None for one beside the model; `work_folder` kept when given, else beside the output and removed
-    at the end; `clips` the folders, globs or videos the models were built from, in their order; `identity` what the
-    avatar is called; `landmarks` "auto" finds the face in the blended pictures where the detector's files are. The
-    others are those of `avatar.AvatarSettings`.
-    """
-
-    models: tuple[str, ...]
-    output: Path
-    weights: tuple[float, ...] | None = None
-    faceframe: str = MEAN
-    reference: str | None = None
-    expressions: int | None = EXPRESSIONS
-    method: str = AUTO
-    max_sd: float = MAX_SD
-    sharpen: float | None = None
-    surround: str | None = None
-    correspondence: str = EXPRESSION
-    flow: str = methods.DEFAULT
-    components: int = COMPONENTS
-    clips: tuple[str, ...] | None = None
-    landmarks: str = "auto"
-    identity: str = IDENTITY
-    report: Path | None = None
-    work_folder: Path | None = None
+    models: Annotated[
+        tuple[ClipText, ...],
+        Argument("A.morph B.morph ..."),
+        Help("The models, two or more, with keypoints."),
+    ]
+    output: Annotated[Path, Option("-o", "--output"), Help("The model to write (.morph).")]
+    weights: Annotated[
+        tuple[float, ...] | None,
+        Option(metavar="W,W,..."),
+        Help("How much of each identity, in the order of the models [default: the same of all]."),
+    ] = None
+    faceframe: Annotated[
+        str,
+        Option(metavar="mean|source|NAME"),
+        Help(
+            "Onto which keypoints all are aligned: the weighted mean, those of whose expression it is, or of an "
+            "identity."
+        ),
+    ] = "mean"
+    reference: Annotated[
+        str | None,
+        Option(metavar="NAME"),
+        Help("The identity on whose mean face the others are laid [default: the one nearest to all others]."),
+    ] = None
+    expressions: Annotated[
+        int | None,
+        Ge(1),
+        Spelled("all"),
+        Help(
+            "How many of each identity, so that three give three times so many; spread out over what each can show. "
+            "all: every training frame."
+        ),
+    ] = 40
+    method: Annotated[MimicryMethod, Help("How expressions are carried over, as in `morphspace mimic`.")] = (
+        "auto"
+    )
+    max_sd: Annotated[float, Gt(0), Help("Draw each loading smoothly inside so many SD.")] = 3.0
+    sharpen: Annotated[
+        float | None,
+        Ge(0),
+        Le(3),
+        Spelled("auto"),
+        Help("Amount of the unsharp mask; auto: as sharp as the sources are."),
+    ] = None
+    surround: Annotated[
+        str | None,
+        Option(metavar="NAME|flat"),
+        Help("Whose hair, ears, neck and background stay, or flat grey [default: the reference identity's]."),
+    ] = None
+    correspondence: Annotated[
+        Literal["expression", "rest"],
+        Help(
+            "How people are matched. rest: as their mean faces are; expression: at the mouth also anew in each "
+            "expression, by landmarks (`keypoints --auto`) and flow."
+        ),
+    ] = "expression"
+    flow: Annotated[
+        str, OneOf(NAMES), Help("The flow estimator, between the people and of the final model.")
+    ] = DEFAULT
+    components: Annotated[
+        int, Ge(1), Le(10_000), Option("-k", "--components"), Help("The most components to keep.")
+    ] = 50
+    clips: Annotated[
+        tuple[ClipText, ...] | None,
+        Option(metavar="CLIP"),
+        Help(
+            "The clip a model was built from, once for each model in their order: its frames are used as they are, "
+            "not as the model draws them."
+        ),
+    ] = None
+    landmarks: Annotated[
+        Literal["auto", "none"], Help("Whether the face is looked for in the blended pictures.")
+    ] = "auto"
+    identity: Annotated[str, Help("What the avatar is called.")] = "avatar"
+    report: Annotated[Path | None, Help("The HTML report [default: beside the model].")] = None
+    work_folder: Annotated[Path | None, Option("--work-dir"), Help("Keep finished blends here.")] = None
 
 
 def run(request: BlendAvatarRequest) -> Steps[Outcome]:
     """Blend, build, and write the model and its page. Returns an `Outcome`."""
+    from morphspace.avatar import AvatarSettings, blend_steps
+    from morphspace.avatar.build import checked
+    from morphspace.cache import work_folder
+    from morphspace.face.detector import detector_for
+    from morphspace.model.model import load_model
+    from morphspace.outcome import versions
+    from morphspace.report.avatar_page import avatar_page, avatar_result, landmark_words
+    from morphspace.sets.models import held_models
+    from morphspace.sets.protect import check_file
+    from morphspace.storage import digest_of_file, make_folder, write_text
+
     paths = [Path(given) for given in request.models]
-    if not request.identity.strip():
-        raise BadInput(
-            f"the identity {request.identity!r} is no name: give the avatar one, or leave --identity out"
-        )
     if not request.output.name:
         raise BadInput(
             f"the output {request.output} is a folder: give a file to write, such as avatar{SUFFIX}"
@@ -105,6 +159,9 @@ def run(request: BlendAvatarRequest) -> Steps[Outcome]:
 
 def _clips(request: BlendAvatarRequest, models: Sequence[MorphModel]) -> list[FramedClip] | None:
     """Open the clips the models were built from. Raises `BadInput` where there is not one for each."""
+    from morphspace.avatar.originals import check_clips
+    from morphspace.model.encode import framed_for
+
     if request.clips is None:
         return None
     check_clips(len(request.clips), len(models))
@@ -118,6 +175,8 @@ def _outcome(
     digests: Sequence[str],
     notes: tuple[str, ...],
 ) -> Outcome:
+    from morphspace.outcome import Outcome
+
     model, sharpness = avatar.model, avatar.sharpness
     wanted = float(sharpness["sources"] @ avatar.weights)
     shares = ", ".join(

@@ -2,60 +2,86 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import fields
 from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Literal
 
-import numpy as np
+from annotated_types import Ge, Gt, Le
 
-from morphspace import cache
-from morphspace.face.detector import Landmarks
-from morphspace.face.faceframe import RegistrationKind
-from morphspace.flow import methods
-from morphspace.flow.starts import StartKind
-from morphspace.io.clips import open_clip
-from morphspace.model.from_clip import ClipSettings, Crop
-from morphspace.model.passes import COMPONENTS, Build
-from morphspace.outcome import Outcome
-from morphspace.report.advice.build import advice_for
-from morphspace.sets.models import written_model
-from morphspace.sets.protect import check_file
-from morphspace.steps import Steps
-from morphspace.storage import make_folder
+from morphspace.flow.names import DEFAULT, NAMES
+from morphspace.requests import Clip, Crop, Size, declared
+from morphspace.settings import Help, OneOf, Option, Spelled
+
+if TYPE_CHECKING:
+    from morphspace.model.passes import Build
+    from morphspace.outcome import Outcome
+    from morphspace.steps import Steps
 
 
-@dataclass(frozen=True)
+@declared
 class BuildModelRequest:
-    """What to build a model from, and how.
+    """Build a face model from CLIP: image files, a folder, a quoted glob, or a video."""
 
-    `sources` a folder, a glob, a video or files; `output` the .morph file, None for one named after the clip;
-    `report` the page, None for one beside the model; `components` the most to keep; `size` (w, h) px or None for the
-    frames' own (200 x 240 where they are larger than 400 px); `crop` (x, y, w, h) px, or "auto" for one around the
-    head; `landmarks` "auto" finds the face in every frame where the detector's files are, "anchor" also holds the flow
-    to it, "none" does not; `mask` a grey picture of the reference's size, white where the face is; `reference` a
-    frame's name or file, None to choose; `start` "auto" tries hard frames again from a neighbour's flow, "none" does
-    not; `warp_weight` colour per px, None to cross-validate; `work_folder` kept when given, else beside the output and
-    removed at the end.
-    """
-
-    sources: tuple[str, ...]
-    output: Path | None = None
-    report: Path | None = None
-    components: int = COMPONENTS
-    size: tuple[int, int] | None = None
-    crop: Crop | None = None
-    landmarks: Landmarks = "auto"
-    mask: Path | None = None
-    reference: str | None = None
-    registration: RegistrationKind = "similarity"
-    flow: str = methods.DEFAULT
-    start: StartKind = "auto"
-    warp_weight: float | None = None
-    work_folder: Path | None = None
-    identity: str | None = None
+    sources: Clip
+    output: Annotated[
+        Path | None, Option("-o", "--output"), Help("The .morph file [default: the clip's name].")
+    ] = None
+    report: Annotated[Path | None, Help("The HTML report [default: beside the model].")] = None
+    components: Annotated[
+        int, Ge(1), Le(10_000), Option("-k", "--components"), Help("The most components to keep.")
+    ] = 50
+    size: Annotated[Size | None, Help("Model frame size; scales to cover and crops to the middle.")] = None
+    crop: Annotated[
+        Crop | Literal["auto"] | None,
+        Option(metavar="auto|X,Y,W,H"),
+        Help(
+            "Cut this box out of every frame first, px; auto finds one around the head (`morphspace models fetch`)."
+        ),
+    ] = None
+    landmarks: Annotated[
+        Literal["auto", "anchor", "none"],
+        Help(
+            "Whether the face is found in every frame, for registration, mask and keypoints; auto does where "
+            "`morphspace models fetch` has been run; anchor also holds the flow to the landmarks."
+        ),
+    ] = "auto"
+    mask: Annotated[Path | None, Help("Grey picture on the reference, white where the face is.")] = None
+    reference: Annotated[
+        str | None, Option(metavar="FILE"), Help("The reference frame [default: chosen, with the reason].")
+    ] = None
+    registration: Annotated[
+        Literal["none", "similarity", "affine"],
+        Option("--register"),
+        Help("How head movement is taken out."),
+    ] = "similarity"
+    flow: Annotated[str, OneOf(NAMES), Help("The flow estimator, as in `morphspace flow`.")] = DEFAULT
+    start: Annotated[
+        Literal["auto", "none"], Help("Whether hard frames are tried again from a neighbour's flow.")
+    ] = "auto"
+    warp_weight: Annotated[
+        float | None,
+        Gt(0),
+        Le(1000),
+        Spelled("auto"),
+        Help("Colour per px of warp in the inner product; auto cross-validates."),
+    ] = None
+    work_folder: Annotated[Path | None, Option("--work-dir"), Help("Keep finished frames here.")] = None
+    identity: Annotated[str | None, Help("Who it is [default: from clip.json, else the clip's name].")] = None
 
 
 def run(request: BuildModelRequest) -> Steps[Outcome]:
     """Build the model, write it and its report. Returns an `Outcome`."""
+    import numpy as np
+
+    from morphspace import cache
+    from morphspace.io.clips import open_clip
+    from morphspace.model.from_clip import ClipSettings
+    from morphspace.outcome import Outcome
+    from morphspace.report.advice.build import advice_for
+    from morphspace.sets.models import written_model
+    from morphspace.sets.protect import check_file
+    from morphspace.storage import make_folder
+
     settings = ClipSettings(**{field.name: getattr(request, field.name) for field in fields(ClipSettings)})
     clip = open_clip(request.sources)
     output = request.output or Path(f"{clip.name}.morph")

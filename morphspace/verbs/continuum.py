@@ -7,66 +7,74 @@ pair is built and kept beside the stimuli.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
-import numpy as np
+from annotated_types import Ge, Le
 
-from morphspace.errors import BadInput
-from morphspace.model.model import MorphModel
-from morphspace.outcome import Outcome
-from morphspace.requests import ClipText, request_document
-from morphspace.sets.complete import write_set
-from morphspace.sets.continuum import (
-    COLUMNS,
-    LINEAR,
-    STEPS_NAME,
-    column_of,
-    continuum_drawings,
-    continuum_ends,
-    measured_steps,
-    spaced_series,
-    unevenness_of,
-)
-from morphspace.sets.planned import PlannedSet
-from morphspace.sets.protect import files_named
-from morphspace.steps import Steps
-from morphspace.stimuli.continuum import (
-    POWERS,
-    SPACINGS,
-    Spacing,
-    even_positions,
-    given_positions,
-)
-from morphspace.stimuli.stepping import unevenness
+from morphspace.requests import ClipText, Crop, Folder, declared, request_document
+from morphspace.settings import Argument, Help, Option
+
+if TYPE_CHECKING:
+    from morphspace.model.model import MorphModel
+    from morphspace.outcome import Outcome
+    from morphspace.sets.planned import PlannedSet
+    from morphspace.steps import Steps
 
 EQUAL = 0.03  # of their mean: steps that differ by more are not called equal
 
 
-@dataclass(frozen=True)
+@declared
 class ContinuumRequest:
-    """Draw the faces from `first` to `last` in so many `steps`, one face more than steps, into the folder `output`.
+    """Draw the faces between A and B, in steps of equal size.
 
-    The ends are two models with keypoints, whose mean faces they are; or with `model` each a picture or a row of a
-    table, `TABLE.csv:FRAME`. `spacing` says in what the steps are equal (`stimuli.continuum.Spacing`); `positions` are
-    taken instead of it where given, 0 the first end and 1 the last. `control` linear adds the linear morph in as many
-    steps. `crop` px is cut out of pictures first.
+    A and B are two models (.morph, with keypoints: their mean faces), or with --model two pictures or two rows of
+    tables (TABLE.csv:FRAME). steps.csv says what each step changes, shape and colour apart, and what a plain
+    cross-fade of the two ends would.
     """
 
-    first: ClipText
-    last: ClipText
-    output: Path
-    model: Path | None = None
-    steps: int = 10
-    spacing: Spacing = "ciede2000"
-    positions: tuple[float, ...] | None = None
-    control: Literal["linear", "none"] = "linear"
-    crop: tuple[int, int, int, int] | None = None
+    first: Annotated[
+        ClipText, Argument("A"), Help("The face at 0 %: a model, a picture or a row of a table.")
+    ]
+    last: Annotated[ClipText, Argument("B"), Help("The face at 100 %, likewise.")]
+    output: Folder
+    model: Annotated[
+        Path | None,
+        Help("The model that A and B, pictures or rows TABLE.csv:FRAME, are shown with."),
+    ] = None
+    steps: Annotated[
+        int,
+        Ge(1),
+        Le(10_000),
+        Help("How many steps; the faces are one more: 10 steps are 0 %, 10 %, ... 100 %."),
+    ] = 10
+    spacing: Annotated[
+        Literal["loadings", "warp", "ciede2000", "ssim"],
+        Help(
+            "In what the steps are equal: loadings (the linear morph), warp (rms px), or as the files show it, mean "
+            "CIEDE2000 or 1 - SSIM inside the mask."
+        ),
+    ] = "ciede2000"
+    positions: Annotated[
+        tuple[float, ...] | None,
+        Option("--at", metavar="P,P,..."),
+        Help(
+            "Positions instead of equal steps, such as 0,0.25,0.5,1: 0 is A, 1 is B, beyond them the difference goes "
+            "on."
+        ),
+    ] = None
+    control: Annotated[
+        Literal["linear", "none"], Help("The linear morph in as many steps, as linear_*, beside.")
+    ] = "linear"
+    crop: Annotated[Crop | None, Help("Cut this box out of the pictures first, px.")] = None
 
 
 def run(request: ContinuumRequest) -> Steps[Outcome]:
     """Write the set of stimuli. Returns an `Outcome`."""
+    from morphspace.sets.complete import write_set
+    from morphspace.sets.continuum import STEPS_NAME, unevenness_of
+
     planned = yield from plan(request)
     outcome = yield from write_set(planned, request.output)
     kept = () if request.model is not None else (planned.model_path,)
@@ -84,8 +92,19 @@ def plan(request: ContinuumRequest, model: MorphModel | None = None) -> Steps[Pl
     The model of a pair is to lie in the output folder: `keep_model` puts it there, unless another is in the way; a
     batch may name it otherwise. Returns a `PlannedSet`.
     """
-    if request.spacing not in SPACINGS:
-        raise BadInput(f"steps cannot be equal in {request.spacing!r}: choose from {', '.join(SPACINGS)}")
+    from morphspace.sets.continuum import (
+        COLUMNS,
+        LINEAR,
+        STEPS_NAME,
+        continuum_drawings,
+        continuum_ends,
+        measured_steps,
+        spaced_series,
+    )
+    from morphspace.sets.planned import PlannedSet
+    from morphspace.sets.protect import files_named
+    from morphspace.stimuli.continuum import even_positions, given_positions
+
     positions = None if request.positions is None else given_positions(request.positions)
     steps = even_positions(request.steps) if positions is None else positions
     ends = yield from continuum_ends(
@@ -119,6 +138,12 @@ def plan(request: ContinuumRequest, model: MorphModel | None = None) -> Steps[Pl
 
 
 def _notes(request: ContinuumRequest, table: Mapping[str, Sequence[Any]]) -> tuple[str, ...]:
+    import numpy as np
+
+    from morphspace.sets.continuum import column_of
+    from morphspace.stimuli.continuum import POWERS
+    from morphspace.stimuli.stepping import unevenness
+
     if request.positions is not None or request.spacing not in POWERS:
         return ()
     off = unevenness(np.array(column_of(table, "continuum", "size_of_mean")))
@@ -131,6 +156,10 @@ def _notes(request: ContinuumRequest, table: Mapping[str, Sequence[Any]]) -> tup
 
 
 def _said(request: ContinuumRequest, planned: PlannedSet) -> tuple[str, ...]:
+    import numpy as np
+
+    from morphspace.sets.continuum import LINEAR, STEPS_NAME, column_of, unevenness_of
+
     table = planned.tables[STEPS_NAME]
     off = unevenness_of(table)
     steps, moved = column_of(table, "continuum", "ciede2000"), column_of(table, "continuum", "warp_rms_px")

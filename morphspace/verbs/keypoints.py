@@ -2,49 +2,64 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
-
-import numpy as np
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from morphspace.errors import BadInput
-from morphspace.face.detector import Detector, load_detector
-from morphspace.io.images import write_image
-from morphspace.io.points import Lip, YAxis
-from morphspace.model.file import check_content
-from morphspace.model.keypoint_sources import (
-    Marked,
-    detected_keypoints,
-    far_notes,
-    given_keypoints,
-    read_keypoints,
-)
-from morphspace.model.keypoints import lip_of, point_names
-from morphspace.model.model import MorphModel, load_model
-from morphspace.outcome import Outcome
-from morphspace.report.pictures import marked_face
-from morphspace.sets.protect import check_file
-from morphspace.steps import Steps
+from morphspace.requests import Model, declared
+from morphspace.settings import Help, Option, Separated
+
+if TYPE_CHECKING:
+    from morphspace.face.detector import Detector
+    from morphspace.model.model import MorphModel
+    from morphspace.outcome import Outcome
+    from morphspace.steps import Steps
+
+Pair = tuple[float, float]
 
 
-@dataclass(frozen=True)
+@declared
 class KeypointsRequest:
-    """Set the keypoints of `model` from one source: `automatic`, `points` ((x, y) three times, px) or a `file`.
+    """Set the three points that place MODEL's face and link it to others; without a source, show them."""
 
-    With none of them the present ones are shown. `lip` says what the third point is, `y_axis` which way y counts in the
-    file, `on` whether the points were marked on the mean face or on the reference frame's own picture. `output` None
-    rewrites the model itself.
-    """
-
-    model: Path
-    automatic: bool = False
-    points: tuple[tuple[float, float], ...] | None = None
-    file: Path | None = None
-    lip: Lip | None = None
-    y_axis: YAxis = "auto"
-    on: Marked = "mean"
-    output: Path | None = None
+    model: Model
+    automatic: Annotated[
+        bool,
+        Option("--auto"),
+        Help("Find them: in the mean and in up to 40 training faces, each carried to the mean (median)."),
+    ] = False
+    points: Annotated[
+        tuple[Pair, Pair, Pair] | None,
+        Separated(" ", "78,101 124,100 101,140"),
+        Option("--set", metavar='"X,Y X,Y X,Y"'),
+        Help(
+            "Right eye, left eye, philtrum in px of the mean face; right is the subject's, left in the picture."
+        ),
+    ] = None
+    file: Annotated[
+        Path | None,
+        Option("--from"),
+        Help("A template (.tem, .tps), points (.csv, .txt: x,y per line) or a faceframe (.json)."),
+    ] = None
+    lip: Annotated[
+        Literal["philtrum", "upper-lip"] | None,
+        Help(
+            "What the third point is, or which one to take of a template: the philtrum's centre, or the bottom of the "
+            "upper lip (WebMorph) [default: upper-lip for a .tem of three points, else philtrum]."
+        ),
+    ] = None
+    y_axis: Annotated[
+        Literal["auto", "up"],
+        Option("--negate-y", gives="up"),
+        Help("With --from: y counts up in the file. A .tps is recognised without it."),
+    ] = "auto"
+    on: Annotated[
+        Literal["mean", "reference"],
+        Help("What the points were marked on: the mean face, or the reference frame's own picture."),
+    ] = "mean"
+    output: Annotated[
+        Path | None, Option("-o", "--output"), Help("The new .morph file [default: MODEL itself].")
+    ] = None
 
 
 def run(request: KeypointsRequest, detector: Detector | None = None) -> Steps[Outcome]:
@@ -52,6 +67,22 @@ def run(request: KeypointsRequest, detector: Detector | None = None) -> Steps[Ou
 
     `detector` None takes the package's own, with --auto.
     """
+    import numpy as np
+
+    from morphspace.face.detector import load_detector
+    from morphspace.io.images import write_image
+    from morphspace.model.file import check_content
+    from morphspace.model.keypoint_sources import (
+        detected_keypoints,
+        far_notes,
+        given_keypoints,
+        read_keypoints,
+    )
+    from morphspace.model.model import load_model
+    from morphspace.outcome import Outcome
+    from morphspace.report.pictures import marked_face
+    from morphspace.sets.protect import check_file
+
     _check(request)
     check_content(request.model)  # a damaged model must not be written again as a whole one
     model = load_model(request.model)
@@ -115,6 +146,8 @@ def _check(request: KeypointsRequest) -> None:
 
 
 def _shown(path: Path, model: MorphModel) -> Outcome:
+    from morphspace.outcome import Outcome
+
     if model.faceframe is None:
         lines: tuple[str, ...] = (f"{path}: no keypoints are set: give --auto, --set or --from",)
     else:
@@ -123,6 +156,8 @@ def _shown(path: Path, model: MorphModel) -> Outcome:
 
 
 def _lines(model: MorphModel) -> tuple[str, ...]:
+    from morphspace.model.keypoints import point_names
+
     if model.faceframe is None:
         return ()
     points = model.faceframe.points.tolist()
@@ -132,5 +167,7 @@ def _lines(model: MorphModel) -> tuple[str, ...]:
 
 
 def _document(model: MorphModel) -> dict[str, Any]:
+    from morphspace.model.keypoints import lip_of
+
     points = None if model.faceframe is None else model.faceframe.points.tolist()
     return {"model_id": model.model_id, "points": points, "lip": lip_of(model) if points else None}

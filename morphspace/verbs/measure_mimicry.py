@@ -7,48 +7,73 @@ is.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
 
-import numpy as np
+from annotated_types import Ge, Le
 
 from morphspace.errors import BadInput
-from morphspace.face.detector import Detector, own_detector
-from morphspace.face.regions import WHOLE
-from morphspace.model.encode import check_components
-from morphspace.model.model import MorphModel, load_model
-from morphspace.outcome import Outcome
-from morphspace.sets.imitation import (
-    VERB,
-    WRITTEN,
-    MeasureSettings,
-    WrittenImitation,
-    mark_of,
-    written_imitation,
-)
-from morphspace.sets.protect import check_file, check_ours, no_empty_folders
-from morphspace.steps import Steps
+from morphspace.requests import ClipText, declared
+from morphspace.settings import Argument, Help, Option
+
+if TYPE_CHECKING:
+    from morphspace.face.detector import Detector
+    from morphspace.model.model import MorphModel
+    from morphspace.outcome import Outcome
+    from morphspace.sets.imitation import WrittenImitation
+    from morphspace.steps import Steps
+
+FACES_MISSING = 3  # exit code: all was done, but some frames show no face
 
 
-@dataclass(frozen=True)
+@declared
 class MeasureMimicryRequest:
-    """Measure how `imitation` follows `stimulus`, each a clip or a loadings table (.csv), in the space of `model`.
+    """Measure how well IMITATION follows STIMULUS, in the expression space of the stimulus' model.
 
-    `output` is a folder (None: named after the imitation); `components` the first so many (None: all both have);
-    `mask` a grey picture on the mean face, or `region` by name: both sequences are then measured from that part alone.
-    `imitator` is the model of who imitates, where that is another person: the imitation is read in it and carried over.
+    Exits 3 where all was done but some frames show no face; measures.json names them.
     """
 
-    stimulus: str
-    imitation: str
-    model: Path
-    output: Path | None = None
-    components: int | None = None
-    permutations: int = 1000
-    seed: int = 0
-    mask: Path | None = None
-    region: str = WHOLE
-    imitator: Path | None = None
+    stimulus: Annotated[ClipText, Argument("STIMULUS"), Help("A clip, or a table of loadings (.csv).")]
+    imitation: Annotated[ClipText, Argument("IMITATION"), Help("A clip, or a table of loadings (.csv).")]
+    model: Annotated[Path, Help("The stimulus' model (.morph): both are measured in its space.")]
+    output: Annotated[
+        Path | None,
+        Option("-o", "--output"),
+        Help("The folder to write into [default: the imitation's name and -mimicry]."),
+    ] = None
+    components: Annotated[
+        int | None,
+        Ge(1),
+        Option("-k", "--components"),
+        Help("At most so many components, the first [default: all]."),
+    ] = None
+    permutations: Annotated[
+        int,
+        Ge(0),
+        Le(1_000_000),
+        Help(
+            "At most so many circular shifts of the imitation stand for chance; at the best lag and aligned, so many "
+            "of its copies."
+        ),
+    ] = 1000
+    seed: Annotated[int, Ge(0), Help("Which shifts and copies are drawn.")] = 0
+    mask: Annotated[
+        Path | None,
+        Help("Measure a part of the face: a grey picture on the mean face, white where it counts."),
+    ] = None
+    region: Annotated[
+        str,
+        Option(metavar="NAME"),
+        Help("Measure a part of the face: eyes, brows, mouth, nose, upper, lower, several joined by +."),
+    ] = "whole"
+    imitator: Annotated[
+        Path | None,
+        Option(metavar="B"),
+        Help(
+            "The model (.morph) of who imitates, where that is another person: IMITATION is read in it and carried "
+            "over by mimicry. Both models need keypoints."
+        ),
+    ] = None
 
 
 def run(request: MeasureMimicryRequest, detector: Detector | None = None) -> Steps[Outcome]:
@@ -57,6 +82,11 @@ def run(request: MeasureMimicryRequest, detector: Detector | None = None) -> Ste
     Its document has `no_face`, the number of frames in which no face was found. `detector` None takes the package's
     own, where its files have been fetched.
     """
+    from morphspace.face.detector import own_detector
+    from morphspace.model.model import load_model
+    from morphspace.sets.imitation import VERB, WRITTEN, MeasureSettings, mark_of, written_imitation
+    from morphspace.sets.protect import check_file, check_ours, no_empty_folders
+
     model = load_model(request.model)
     _check_request(request, model)
     folder = request.output or Path(f"{Path(request.imitation).stem or 'clip'}-mimicry")
@@ -91,18 +121,21 @@ def run(request: MeasureMimicryRequest, detector: Detector | None = None) -> Ste
 
 
 def _check_request(request: MeasureMimicryRequest, model: MorphModel) -> None:
+    from morphspace.face.regions import WHOLE
+
     if model.rank == 0:
         raise BadInput(
             f"{request.model} has no component: nothing can be measured in its space; build it from more frames"
         )
-    check_components(request.components)
-    if request.permutations < 0:
-        raise BadInput(f"{request.permutations} permutations cannot be drawn: give 0 or more")
     if request.mask is not None and request.region != WHOLE:
         raise BadInput(f"both the mask {request.mask} and the region {request.region} were given: choose one")
 
 
 def _outcome(folder: Path, made: WrittenImitation) -> Outcome:
+    import numpy as np
+
+    from morphspace.outcome import Outcome
+
     comparison, told = made.comparison, made.told
     last = {name: float(values[-1]) for name, values in comparison.measures.items()}
     document = {name: value if np.isfinite(value) else None for name, value in last.items()}
@@ -111,10 +144,11 @@ def _outcome(folder: Path, made: WrittenImitation) -> Outcome:
     def said(name: str, decimals: int = 2) -> str:
         return f"{last[name]:.{decimals}f}" if np.isfinite(last[name]) else "undefined"
 
+    missed = FACES_MISSING if told["no_face"] else 0
     first = f"{folder}: {told['paired_frames']} frames in pairs, {told['components']} components"
     if made.still:
         return Outcome(
-            (first, *made.still), {"output": str(folder), **told, **document}, made.notes, made.files
+            (first, *made.still), {"output": str(folder), **told, **document}, made.notes, made.files, missed
         )
     lines = (
         first,
@@ -125,4 +159,4 @@ def _outcome(folder: Path, made: WrittenImitation) -> Outcome:
         f"{said('correlation_aligned_p', 3)}, chance aligned too), frames moved by "
         f"{comparison.alignment.timing_rms_frames:.1f} rms",
     )
-    return Outcome(lines, {"output": str(folder), **told, **document}, made.notes, made.files)
+    return Outcome(lines, {"output": str(folder), **told, **document}, made.notes, made.files, missed)

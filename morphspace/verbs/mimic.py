@@ -6,54 +6,86 @@ frames that drove them, in a video and on a page.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
-import numpy as np
+from annotated_types import Ge, Le
 
-from morphspace.errors import BadInput
-from morphspace.face.detector import Detector, own_detector
-from morphspace.io.clips import Clip, open_clip
-from morphspace.model.model import MorphModel
-from morphspace.outcome import Outcome
-from morphspace.requests import ClipText
-from morphspace.sets.mimicry import BEST, MAX_SD, MimicSettings, WrittenMimicry, written_mimicry
-from morphspace.sets.models import check_faces, check_landmarks, opened_model, ready_model
-from morphspace.sets.protect import MODELS_FOLDER, check_apart, check_ours, no_empty_folders, told_what_stays
-from morphspace.steps import Steps
-from morphspace.storage import make_folder
-from morphspace.transfer.driver import UsedModel, clip_driver, training_driver
-from morphspace.transfer.neutral import AUTOMATIC
-from morphspace.transfer.quality_table import (
-    BEYOND,
-    FLAGS,
-    FOLDS,
-    NO_FACE,
-    TURNED,
-)
+from morphspace.requests import ClipText, Folder, MimicryMethod, declared
+from morphspace.settings import Help, Option
+
+if TYPE_CHECKING:
+    from morphspace.face.detector import Detector
+    from morphspace.io.clips import Clip
+    from morphspace.model.model import MorphModel
+    from morphspace.outcome import Outcome
+    from morphspace.sets.mimicry import MimicSettings, WrittenMimicry
+    from morphspace.steps import Steps
+    from morphspace.transfer.driver import UsedModel
+
+FACES_MISSING = 3  # exit code: all was done, but some driving frames show no face
 
 
-@dataclass(frozen=True)
+@declared
 class MimicRequest:
-    """Let `source` drive `target`, each a model or a clip to build one of, and write into the folder `output`.
+    """Let B's face show what A's face does (Nagle section 3).
 
-    `frames` is the clip that drives, None for the source's own training frames; `method` is one of `METHODS`, or
-    "auto": `guided` where both models know their landmarks, else `transfer`; `gain` multiplies the loadings, "auto" so
-    that the target moves as far as the source (`mimic.auto_gain`), None for auto with `guided` and `transfer` and 1
-    with the others; `max_sd` bounds each of them; `components` uses the target's first so many, None for all; `neutral`
-    names the neutral faces of both (`neutral.neutral_of`).
+    Exits 3 where all was done but some driving frames show no face; quality.csv marks them.
     """
 
-    source: ClipText
-    target: ClipText
-    output: Path
-    frames: ClipText | None = None
-    method: str = BEST
-    gain: float | Literal["auto"] | None = None
-    max_sd: float = MAX_SD
-    components: int | None = None
-    neutral: str = AUTOMATIC
+    source: Annotated[
+        ClipText,
+        Option("--src", metavar="A"),
+        Help("Whose motion: a model (.morph), or a clip to build one of."),
+    ]
+    target: Annotated[
+        ClipText,
+        Option("--dst", metavar="B"),
+        Help("Whose face: a model (.morph), or a clip to build one of."),
+    ]
+    output: Folder
+    frames: Annotated[
+        ClipText | None,
+        Option(metavar="CLIP"),
+        Help("A folder, a quoted glob or a video of A's person that drives [default: A's training frames]."),
+    ] = None
+    method: Annotated[
+        MimicryMethod,
+        Help(
+            "paper: inner products, as published. map: B's most probable face. transfer: motion first, B's own skin. "
+            "guided: transfer, and landmarks of both. auto: guided where both models know landmarks, else transfer."
+        ),
+    ] = "auto"
+    gain: Annotated[
+        float | Literal["auto"] | None,
+        Ge(-1000),
+        Le(1000),
+        Option(metavar="G|auto"),
+        Help(
+            "Multiply all loadings: above 1 caricatures; auto: as far as A moves [default: auto with guided and "
+            "transfer, 1 with paper and map]."
+        ),
+    ] = None
+    max_sd: Annotated[
+        float,
+        Ge(0.001),
+        Le(1000),
+        Help("Draw each loading smoothly inside so many SD, so that the picture stays a face."),
+    ] = 3.0
+    components: Annotated[
+        int | None,
+        Ge(1),
+        Option("-k", "--components"),
+        Help("At most so many of B's components, the first [default: all]."),
+    ] = None
+    neutral: Annotated[
+        str,
+        Option(metavar="auto|mean|A_FRAME[,B_FRAME]"),
+        Help(
+            "What counts as neutral: both means, the training frames named, or auto: where the means differ, the "
+            "frame of A nearest to B's mean."
+        ),
+    ] = "auto"
 
 
 def run(request: MimicRequest, detector: Detector | None = None) -> Steps[Outcome]:
@@ -62,6 +94,14 @@ def run(request: MimicRequest, detector: Detector | None = None) -> Steps[Outcom
     Its document has `no_face`, the number of driving frames in which no face was found. `detector` None takes the
     package's own, where its files have been fetched.
     """
+    from morphspace.face.detector import own_detector
+    from morphspace.io.clips import Clip
+    from morphspace.sets.mimicry import written_mimicry
+    from morphspace.sets.models import ready_model
+    from morphspace.sets.protect import MODELS_FOLDER, no_empty_folders, told_what_stays
+    from morphspace.storage import make_folder
+    from morphspace.transfer.driver import clip_driver, training_driver
+
     folder, detect = request.output, detector or own_detector()
     opened, settings = _opened(request, detect)
     with told_what_stays(folder), no_empty_folders(folder):
@@ -78,6 +118,9 @@ def run(request: MimicRequest, detector: Detector | None = None) -> Steps[Outcom
 
 def check(request: MimicRequest) -> None:
     """Raise what can be found out before any work: a batch asks before it starts."""
+    from morphspace.face.detector import own_detector
+    from morphspace.io.clips import open_clip
+
     _opened(request, own_detector())
     if request.frames is not None:
         open_clip([request.frames])
@@ -85,13 +128,15 @@ def check(request: MimicRequest) -> None:
 
 def _opened(request: MimicRequest, detect: Detector | None) -> tuple[list[UsedModel | Clip], MimicSettings]:
     """Open what takes part, and refuse before a model is built what would fail after it."""
+    from morphspace.io.clips import Clip, open_clip
+    from morphspace.sets.mimicry import MimicSettings
+    from morphspace.sets.models import check_faces, check_landmarks, opened_model
+    from morphspace.sets.protect import MODELS_FOLDER, check_apart, check_ours
+
     settings = MimicSettings(
         request.method, request.gain, request.max_sd, request.components, request.neutral
     )
     sides = {"--src": request.source, "--dst": request.target}
-    for option, words in {**sides, "--frames": request.frames}.items():
-        if words is not None and not words.strip():
-            raise BadInput(f"{option} is empty: name a model or a clip")
     check_ours(request.output)
     opened = [opened_model(role, words, detect) for role, words in sides.items()]
     for role, given in zip(sides, opened, strict=True):
@@ -106,6 +151,11 @@ def _opened(request: MimicRequest, detect: Detector | None) -> tuple[list[UsedMo
 
 
 def _outcome(folder: Path, source: MorphModel, target: MorphModel, made: WrittenMimicry) -> Outcome:
+    import numpy as np
+
+    from morphspace.outcome import Outcome
+    from morphspace.transfer.quality_table import BEYOND, FLAGS, FOLDS, NO_FACE, TURNED
+
     flags, settings = made.columns["flags"], made.settings
     flagged = sum(bool(words) for words in flags)
     counts = {flag: sum(flag in words.split() for words in flags) for flag in FLAGS}
@@ -133,4 +183,5 @@ def _outcome(folder: Path, source: MorphModel, target: MorphModel, made: Written
         "colour_agreement_median": agreement,
         "model_id": target.model_id,
     }
-    return Outcome(lines, document, made.notes, made.files)
+    missed = FACES_MISSING if counts[NO_FACE] else 0
+    return Outcome(lines, document, made.notes, made.files, exit_code=missed)

@@ -2,25 +2,42 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
 
-from morphspace.outcome import Outcome
-from morphspace.sets.replay import replayed
-from morphspace.steps import Steps
+from morphspace.requests import ClipText, declared
+from morphspace.settings import Argument, Help, Option
+
+if TYPE_CHECKING:
+    from morphspace.outcome import Outcome
+    from morphspace.steps import Steps
+
+DIFFERS = 3  # exit code: it was drawn again, and is not the same
 
 
-@dataclass(frozen=True)
+@declared
 class ReplayRequest:
-    """Make the stimulus of `sidecar` again with `model`, found near it where None.
+    """Draw the stimulus of SIDECAR again and compare the bytes.
 
-    `clip` opens the frames faces were put back into, where they moved; `output` keeps the new stimulus.
+    Exits 0 where they are the same, 3 where they differ; then it says what differs.
     """
 
-    sidecar: Path
-    model: Path | None = None
-    clip: tuple[str, ...] = ()
-    output: Path | None = None
+    sidecar: Annotated[Path, Argument("SIDECAR"), Help("The .json beside a stimulus.")]
+    model: Annotated[
+        Path | None,
+        Option(metavar="MODEL"),
+        Help("The model [default: found by name and digest near the sidecar]."),
+    ] = None
+    clip: Annotated[
+        tuple[ClipText, ...],
+        Option(metavar="CLIP"),
+        Help("The clip whose frames faces were put back into, if it moved."),
+    ] = ()
+    output: Annotated[
+        Path | None,
+        Option("-o", "--output"),
+        Help("Keep the new stimulus here [default: compare and drop it]."),
+    ] = None
 
 
 def run(request: ReplayRequest) -> Steps[Outcome]:
@@ -28,6 +45,9 @@ def run(request: ReplayRequest) -> Steps[Outcome]:
 
     Returns an `Outcome`.
     """
+    from morphspace.outcome import Outcome
+    from morphspace.sets.replay import replayed
+
     again = yield from replayed(request.sidecar, request.model, request.clip, request.output)
     if again.same:
         first = "the same, byte for byte"
@@ -51,4 +71,4 @@ def run(request: ReplayRequest) -> Steps[Outcome]:
         ),
     }
     written = () if request.output is None else (request.output,)
-    return Outcome(lines, told, notes.get(again.found, ()), written)
+    return Outcome(lines, told, notes.get(again.found, ()), written, 0 if again.same else DIFFERS)

@@ -2,50 +2,73 @@
 
 from __future__ import annotations
 
+import inspect
 from collections.abc import Mapping
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Annotated, Any
+
+from annotated_types import Ge, Gt, Le
 
 from morphspace.errors import BadInput
-from morphspace.io.sidecars import read_json_object
-from morphspace.io.tables import LOADINGS_FORMAT, write_loadings_table
-from morphspace.model.model import MorphModel, load_model
-from morphspace.outcome import Outcome, versions
-from morphspace.requests import VIDEO_SUFFIXES, request_document
-from morphspace.sets.complete import write_set
-from morphspace.sets.kept import digest_of_kept
-from morphspace.sets.motions import COLUMNS, MadeMotions, made_motions, told_of
-from morphspace.sets.planned import PlannedSet, plan_of
-from morphspace.sets.protect import check_file
-from morphspace.sets.sources import motion_name
-from morphspace.steps import Steps
-from morphspace.stimuli.drawing import Drawing
-from morphspace.storage import make_folder
+from morphspace.requests import Model, VideoSuffix, declared, request_document
+from morphspace.settings import Argument, Help, Option
+from morphspace.stimuli.motion_words import operations_help
+
+if TYPE_CHECKING:
+    from morphspace.model.model import MorphModel
+    from morphspace.outcome import Outcome
+    from morphspace.sets.motions import MadeMotions
+    from morphspace.sets.planned import PlannedSet
+    from morphspace.steps import Steps
 
 
-@dataclass(frozen=True)
+@declared
 class TrajectoryRequest:
-    """Do `operations` to the motions of `tables` (loadings on `model`), and draw them into the folder `output`.
+    """Change the motion of each TABLE of loadings on MODEL, and draw it.
 
-    Operations are words with numbers (`smooth=6`, `loop`) or mappings (`{"smooth": 6}`); see `stimuli.motion_words`. An
-    output ending in .csv gets the new table alone. `guide` is the table whose timing is taken, or the mean trajectory
-    that a single table is compared with | `frame_rate_hz` of the tables, None for what they tell | `seed` of the
-    scrambles | `video` .mp4 or .mkv.
+    Operations are done in the order given:
     """
 
-    model: Path
-    tables: tuple[Path, ...]
-    output: Path
-    operations: tuple[str | Mapping[str, Any], ...] = ()
-    guide: Path | None = None
-    frame_rate_hz: float | None = None
-    seed: int = 0
-    video: str = ".mp4"
+    model: Model
+    tables: Annotated[tuple[Path, ...], Argument("TABLE..."), Help("Tables of loadings on MODEL (.csv).")]
+    output: Annotated[
+        Path,
+        Option("-o", "--output", metavar="DIR|NEW.csv"),
+        Help("A folder for the videos, or a new table of loadings, to go on with."),
+    ]
+    operations: Annotated[
+        tuple[str | Mapping[str, Any], ...],
+        Option("--op", metavar="WORD[=NUMBER]"),
+        Help("An operation, see above; may be given again."),
+    ] = ()
+    guide: Annotated[
+        Path | None,
+        Option(metavar="TABLE"),
+        Help(
+            "Loadings on MODEL too: whose timing `timing` takes on; or the mean trajectory for `caricature` of one "
+            "table."
+        ),
+    ] = None
+    frame_rate_hz: Annotated[
+        float | None,
+        Gt(0),
+        Le(1000),
+        Option("--frame-rate", metavar="HZ"),
+        Help("Frame rate of the tables, Hz [default: what they say, else 25]."),
+    ] = None
+    seed: Annotated[int, Ge(0), Help("The same seed scrambles alike.")] = 0
+    video: Annotated[VideoSuffix, Help(".mkv is lossless, .mp4 for people; the point may be left out.")] = (
+        ".mp4"
+    )
+
+
+TrajectoryRequest.__doc__ = f"{inspect.cleandoc(TrajectoryRequest.__doc__ or '')}\n\n\b\n{operations_help()}"
 
 
 def run(request: TrajectoryRequest) -> Steps[Outcome]:
     """Write the set of stimuli, or the table. Returns an `Outcome`."""
+    from morphspace.sets.complete import write_set
+
     if request.output.suffix.lower() == ".csv":
         return (yield from _write_table(request))
     if request.output.suffix and not request.output.is_dir():
@@ -58,11 +81,12 @@ def run(request: TrajectoryRequest) -> Steps[Outcome]:
 
 def plan(request: TrajectoryRequest, model: MorphModel | None = None) -> Steps[PlannedSet]:
     """Read and check everything, draw nothing; `model` where it is open already. Returns a `PlannedSet`."""
+    from morphspace.sets.motions import COLUMNS, told_of
+    from morphspace.sets.planned import plan_of
+    from morphspace.sets.sources import motion_name
+    from morphspace.stimuli.drawing import Drawing
+
     model = model or _opened(request)
-    if request.video not in VIDEO_SUFFIXES:
-        raise BadInput(
-            f"a motion cannot be written as {request.video!r}: use one of {', '.join(VIDEO_SUFFIXES)}"
-        )
     made = yield from _made(request, model)
     drawings = [
         Drawing(
@@ -80,12 +104,16 @@ def plan(request: TrajectoryRequest, model: MorphModel | None = None) -> Steps[P
 
 
 def _opened(request: TrajectoryRequest) -> MorphModel:
+    from morphspace.model.model import load_model
+
     if request.model.suffix.lower() == ".csv":
         raise BadInput(f"{request.model} is a table: name the model first, then its tables")
     return load_model(request.model)
 
 
 def _made(request: TrajectoryRequest, model: MorphModel) -> Steps[MadeMotions]:
+    from morphspace.sets.motions import made_motions
+
     return made_motions(
         model, request.tables, request.operations, request.guide, request.frame_rate_hz, request.seed
     )
@@ -93,6 +121,14 @@ def _made(request: TrajectoryRequest, model: MorphModel) -> Steps[MadeMotions]:
 
 def _write_table(request: TrajectoryRequest) -> Steps[Outcome]:
     """Write the new motion as a table of loadings, which any verb that takes one can go on with."""
+    from morphspace.io.sidecars import read_json_object
+    from morphspace.io.tables import LOADINGS_FORMAT, write_loadings_table
+    from morphspace.outcome import Outcome, versions
+    from morphspace.sets.kept import digest_of_kept
+    from morphspace.sets.motions import told_of
+    from morphspace.sets.protect import check_file
+    from morphspace.storage import make_folder
+
     model = _opened(request)
     paths = [*request.tables, *([] if request.guide is None else [request.guide])]
     check_file(request.output, ".csv", paths)

@@ -10,7 +10,7 @@ from pathlib import Path
 import jsonschema
 import pytest
 
-from morphspace.cli.documents import recipe_schema, setting_schema
+from morphspace.cli.documents import recipe_schema, setting_schema, verbs_page
 from morphspace.errors import BadInput
 from morphspace.io.recipe_text import read_yaml
 from morphspace.io.recipes import KEYS, read_recipe
@@ -153,6 +153,11 @@ def test_schema_and_reader_refuse_the_same_broken_recipes(old, new, tmp_path):
     assert not fits("recipe", document)
     with pytest.raises(BadInput, match=r"a\.yaml"):
         result_of(planned_recipe(read_recipe(path, SETTINGS), tmp_path / "out", None))
+
+
+def test_the_page_of_all_verbs_is_made_from_the_declarations():
+    page = (DATA_SPEC.parent / "docs" / "verbs.md").read_text(encoding="utf-8")
+    assert page.rstrip() == verbs_page().rstrip(), "make it again: python -m morphspace.cli.documents verbs"
 
 
 # the manifest

@@ -78,8 +78,10 @@ def recipe(lab, text, name="recipe.yaml"):
     return lab / name
 
 
-def made(path, output, **settings):
-    return result_of(verb.run(BatchRequest(path, output, **settings)))
+def made(path, output, most=None, **settings):
+    if most is None:
+        return result_of(verb.run(BatchRequest(path, output, **settings)))
+    return result_of(batch.write_batch(result_of(batch.planned_batch(path, output, most=most, **settings))))
 
 
 def refused(path, output, *mentioned, **settings):

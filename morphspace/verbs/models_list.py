@@ -1,0 +1,44 @@
+"""models list: which networks that find faces are there, and whether they are whole."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from morphspace.requests import declared
+from morphspace.verbs.models_fetch import LICENCE, NetworksFolder
+
+if TYPE_CHECKING:
+    from morphspace.face.detector.models import Origin
+    from morphspace.outcome import Outcome
+    from morphspace.steps import Steps
+
+
+@declared
+class ModelsListRequest:
+    """Tell which networks are there, and whether their files are whole."""
+
+    folder: NetworksFolder = None
+
+
+def run(request: ModelsListRequest, *, origin: Origin | None = None) -> Steps[Outcome]:
+    """Give an `Outcome` that tells of each network what it does and whether it is there, whole."""
+    from morphspace.face.detector.models import FETCH_COMMAND, ORIGIN, models_folder, state_of
+    from morphspace.outcome import Outcome
+    from morphspace.steps import Step
+
+    origin = origin or ORIGIN
+    folder = models_folder() if request.folder is None else request.folder
+    states = {}
+    for done, file in enumerate(origin.files):
+        yield Step("check", done, len(origin.files))
+        states[file.name] = state_of(file, folder)
+    widest = max(map(len, states))
+    lines = [f"{folder}, from {origin.requirement}; {LICENCE}"]
+    lines += [
+        f"{file.name:<{widest}}  {states[file.name]:<7}  {file.size_bytes / 1e6:.2f} MB  {file.task}"
+        for file in origin.files
+    ]
+    absent = [name for name, state in states.items() if state != "present"]
+    warnings = (f"{len(absent)} of {len(states)} are not usable: run `{FETCH_COMMAND}`",) if absent else ()
+    document = {"folder": str(folder), "present": not absent, "models": states, "origin": origin.requirement}
+    return Outcome(tuple(lines), document, warnings)
