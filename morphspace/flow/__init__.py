@@ -1,8 +1,7 @@
-"""Dense flow: where each point of the reference is found in a frame, and how far to trust it there.
+"""Dense flow: where each point of the reference lies in a frame, and how reliable that is.
 
-Every estimator is a method of one type, `FlowMethod`, so that a build does not care which one it was given. A method is
-first given the reference, and gives a function from frames to flows: what depends on the reference alone is computed
-once for all the frames.
+Every estimator has one type, `FlowMethod`, so that a build does not depend on the choice. A method takes the
+reference and returns a function from frames to flows: what depends on the reference alone is computed once.
 """
 
 from __future__ import annotations
@@ -17,10 +16,16 @@ if TYPE_CHECKING:  # the command line imports `flow.names` through here, before 
 
 @dataclass(frozen=True, eq=False)
 class Flow:
-    """A field and its confidence.
+    """A displacement field and its confidence.
 
-    `displacement` u (h, w, 2) px with reference(p) ~ frame(p + u(p)); `confidence` (h, w) in [0, 1], low where the
-    frame does not look like the reference at the point (hidden, changed), 0 without texture and outside the frame.
+    Attributes
+    ----------
+    displacement : array (h, w, 2) float32
+        u in px, with reference(p) ~ frame(p + u(p)).
+    confidence : array (h, w) float32
+        In [0, 1]: low where the frame does not match the reference (occluded or changed skin), 0 without texture and
+        outside
+        the frame.
     """
 
     displacement: Displacement
@@ -28,7 +33,7 @@ class Flow:
 
 
 FlowFunction: TypeAlias = "Callable[[Image, Displacement | None], Flow]"
-"""(frame, start or None) -> the flow from the reference it was made for; frame (h, w, 3)."""
+"""(frame (h, w, 3), start (h, w, 2) px or None) -> the flow from the method's reference."""
 
 FlowMethod: TypeAlias = "Callable[[Image], FlowFunction]"
-"""reference (h, w, 3) -> the function that finds frames from it."""
+"""reference (h, w, 3) -> the function that computes its flow to a frame."""

@@ -1,7 +1,7 @@
-"""What the registration form asks of a machine: four primitives and one fused step, on OpenCV.
+"""The numerical primitives of the registration flow, and their implementation on OpenCV.
 
-The algorithm in `multiscale` is written once on these and on arithmetic that numpy and torch share, so it runs on the
-CPU through OpenCV, whose separable filter is many times faster there than torch's convolution, and on a GPU through
+The algorithm in `multiscale` is written once, on these primitives and on arithmetic that numpy and torch share. On
+the CPU it uses OpenCV, whose separable filter is many times faster there than torch's convolution. On a GPU it uses
 torch (`torch_backend`). Planes are (c, h, w) float32 throughout.
 """
 
@@ -22,38 +22,44 @@ from morphspace.grid.warp import spline_reader
 from morphspace.steps import keep_freed_memory
 
 Planes = Any
-"""(c, h, w) float32, a numpy array or a torch tensor, as the backend has it."""
+"""(c, h, w) float32, a numpy array or a torch tensor."""
 
-MEDIAN_PX = 5  # a side; OpenCV's largest for float32
-EDGE_PX = 1.5  # that a step of `edge_codes` is worth to the recursive smoother
-SMALL_PX = 4096  # below it a call costs more than the work
-STRIP_PX = 2**14  # nine derivatives of three colours are 1.8 MB
+MEDIAN_PX = 5  # px a side; the largest that OpenCV allows for float32
+EDGE_PX = 1.5  # px of distance that a step of `edge_codes` adds in the recursive smoother
+SMALL_PX = 4096  # pixels of a plane; below it a call to OpenCV takes longer than its work
+STRIP_PX = 2**14  # pixels; nine derivatives of three colours then take 1.8 MB, which fits in the cache
 _CREATING = threading.Lock()
 
 
 class Backend(Protocol):
-    """The primitives. `xp` is the module with the arithmetic, numpy or torch."""
+    """The primitives of one numerical library.
+
+    Attributes
+    ----------
+    xp : module
+        The library's arithmetic, numpy or torch.
+    """
 
     xp: ModuleType
 
     def strips(self, height: int, width: int) -> Iterable[slice]:
-        """Cut a picture into rows worth doing at a time where each pixel is by itself: what stays in the cache."""
+        """Split the rows of a picture (height, width) into slices that fit the cache, for pixelwise work."""
         ...
 
     def planes(self, array: AnyArray) -> Planes:
-        """Bring a numpy array to the backend as float32."""
+        """Convert a numpy array to the backend's float32."""
         ...
 
     def zeros(self, *shape: int) -> Planes:
-        """Give planes of nothing."""
+        """Return zero planes of a shape."""
         ...
 
     def numpy(self, planes: Planes) -> AnyArray:
-        """Bring planes back."""
+        """Convert planes to a numpy array."""
         ...
 
     def filtered(self, planes: Planes, across: AnyArray, down: AnyArray) -> Planes:
-        """Correlate each plane with a separable kernel, mirrored about the outermost pixels at the edge."""
+        """Correlate each plane with a separable kernel, (n,) and (n,), mirrored about the outermost pixels."""
         ...
 
     def bank(self, planes: Planes, kernels: Sequence[tuple[AnyArray, AnyArray]]) -> Planes:
@@ -61,27 +67,27 @@ class Backend(Protocol):
         ...
 
     def sampler(self, planes: Planes) -> Callable[[Planes, Planes], Planes]:
-        """Give the function that reads the planes at (x, y) px, each (h, w), by cubic B-spline, clamped at the edge."""
+        """Return the function that reads the planes at (x, y) px by cubic B-spline, clamped at the edge."""
         ...
 
     def looked_up(self, planes: Planes, x: Planes, y: Planes) -> Planes:
-        """Read the planes at (x, y) px linearly, clamped at the edge."""
+        """Read the planes at (x, y) px, each (h, w), linearly, clamped at the edge."""
         ...
 
     def resized_linearly(self, planes: Planes, height: int, width: int) -> Planes:
-        """Scale the planes bilinearly: for fields, in which nothing may overshoot."""
+        """Resize the planes bilinearly; for fields, which must not overshoot."""
         ...
 
     def averaged(self, planes: Planes, height: int, width: int) -> Planes:
-        """Scale the planes down by averaging over the area each new pixel covers."""
+        """Shrink the planes by averaging over the area that each new pixel covers."""
         ...
 
     def median(self, planes: Planes) -> Planes:
-        """Take the median of `MEDIAN_PX` x `MEDIAN_PX` pixels, the edge repeated."""
+        """Filter each plane by the median of `MEDIAN_PX` x `MEDIAN_PX` pixels, with the edge repeated."""
         ...
 
     def smoother(self, guide: Planes, strength: float, edge_codes: float) -> Callable[[Planes], Planes]:
-        """Give the edge-aware smoother of planes along a guide (1 or 3 planes, codes 0 to 255).
+        """Return the edge-aware smoother of planes along a guide (1 or 3 planes, codes 0 to 255).
 
         It is the fast global smoother (Min et al., IEEE TIP 2014): least squares with weights
         `strength` exp(-|step of the guide| / `edge_codes`) between neighbours, one axis after the other, three times.
@@ -91,21 +97,21 @@ class Backend(Protocol):
     def recursive_smoother(
         self, guide: Planes, strength: float, edge_codes: float
     ) -> Callable[[Planes], Planes]:
-        """Give the domain transform's recursive smoother (Gastal and Oliveira, ACM TOG 30(4), 2011) along a guide.
+        """Return the recursive smoother of the domain transform along a guide (1 or 3 planes, codes 0 to 255).
 
-        One round, rows and then columns. Where the guide is even it answers as the first of `smoother`'s rounds, whose
-        lines have the same two-sided exponential response. A step of the guide (the sum over colours, divided by the
-        root of their number) counts as `EDGE_PX` more px of distance for each `edge_codes`. Nothing is tabled: for
-        small pictures.
+        It makes one round, rows and then columns (Gastal and Oliveira, ACM TOG 30(4), 2011). Where the guide is
+        uniform it equals the first round of `smoother`: both have the same two-sided exponential response. A step of
+        the guide, summed over the colours and divided by the root of their number, adds `EDGE_PX` px of distance for
+        each `edge_codes`. It precomputes nothing, which suits small pictures.
         """
         ...
 
     def middle(self, plane: Planes) -> Planes:
-        """Give the median of a plane (h, w); of an even count the last is left out, so that there is a middle one."""
+        """Return the median of a plane (h, w); of an even number of values the last is left out."""
         ...
 
     def picked(self, planes: Planes, places: Sequence[int]) -> Planes:
-        """Give a copy of the planes at these places of (n, ...)."""
+        """Copy the planes at these indices of (n, ...)."""
         ...
 
     def dot(self, a: Planes, b: Planes) -> Planes:
@@ -118,12 +124,12 @@ class Backend(Protocol):
 
 
 class OpenCVBackend:
-    """The primitives on numpy arrays and OpenCV; for the CPU."""
+    """The primitives on numpy arrays and OpenCV, for the CPU."""
 
     xp: ModuleType = np
 
     def __init__(self) -> None:
-        """Take no options: one is as good as another."""
+        """Let the process keep freed memory: the flow allocates the same arrays for each frame."""
         keep_freed_memory()
 
     def strips(self, height: int, width: int) -> Iterable[slice]:
@@ -154,7 +160,9 @@ class OpenCVBackend:
     def bank(self, planes: AnyArray, kernels: Sequence[tuple[AnyArray, AnyArray]]) -> AnyArray:
         out = np.empty((len(kernels), *planes.shape), np.float32)
         for plane, targets in zip(planes, out.swapaxes(0, 1), strict=True):
-            rows: dict[int, AnyArray] = {}  # filtered across, by kernel: many share one
+            rows: dict[
+                int, AnyArray
+            ] = {}  # filtered across, by the identity of the kernel: many pairs share one
             for (across, down), target in zip(kernels, targets, strict=True):
                 if id(across) not in rows:
                     rows[id(across)] = cv2.filter2D(plane, cv2.CV_32F, across[None], borderType=BORDER)
@@ -171,7 +179,7 @@ class OpenCVBackend:
         return out
 
     def shrunk(self, planes: AnyArray, height: int, width: int) -> AnyArray:
-        """Scale the planes bicubically; of pictures, which are smoothed before. No part of `Backend`."""
+        """Shrink planes bicubically; for pictures, which are blurred before. `Backend` has no such primitive."""
         return _resized(planes, height, width, cv2.INTER_CUBIC)
 
     def resized_linearly(self, planes: AnyArray, height: int, width: int) -> AnyArray:
@@ -212,12 +220,12 @@ class OpenCVBackend:
         return out
 
     def weighted_dot(self, weights: AnyArray, a: AnyArray, b: AnyArray) -> AnyArray:
-        out: AnyArray = np.einsum("nij,ncij,ncij->ij", weights, a, b)  # one pass, no products in between
+        out: AnyArray = np.einsum("nij,ncij,ncij->ij", weights, a, b)  # one pass, without arrays of products
         return out
 
 
 def _mirrored_rows(planes: AnyArray, reach: int) -> AnyArray:
-    """Give the planes (c, h, w) with `reach` < h more rows above and below, mirrored about the outermost."""
+    """Add `reach` < h rows above and below planes (c, h, w), mirrored about the outermost row."""
     count, height, width = planes.shape
     out = np.empty((count, height + 2 * reach, width), np.float32)
     out[:, reach : reach + height] = planes
@@ -235,31 +243,40 @@ def _resized(planes: AnyArray, height: int, width: int, interpolation: int) -> A
 
 
 def _guide_picture(guide: AnyArray) -> AnyArray:
-    """Give a guide, 1 or 3 planes in codes, as OpenCV's 8-bit picture."""
+    """Convert a guide, 1 or 3 planes in codes, to OpenCV's 8-bit picture."""
     codes = np.clip(guide, 0, 255).astype(np.uint8)
     return codes[0] if len(codes) == 1 else np.ascontiguousarray(codes.transpose(1, 2, 0))
 
 
 def _plane_by_plane(create: Callable[[], Any]) -> Callable[[AnyArray], AnyArray]:
-    """Give the function that smooths planes by one of OpenCV's estimators."""
-    own = threading.local()  # an estimator writes into itself: one for each thread
+    """Return the function that smooths each plane with one of OpenCV's filters."""
+    own = threading.local()  # a filter has buffers of its own: one filter for each thread
 
     def smooth(planes: AnyArray) -> AnyArray:
-        if not hasattr(own, "estimator"):
-            own.estimator = create()
+        if not hasattr(own, "smoother"):
+            own.smoother = create()
         out = np.empty_like(planes)
         for plane, target in zip(planes, out, strict=True):
-            target[...] = own.estimator.filter(plane)  # its dst comes back unwritten
+            target[...] = own.smoother.filter(plane)  # OpenCV does not write its dst
         return out
 
     return smooth
 
 
 def domain_transform(strength: float, edge_codes: float, colours: int) -> tuple[float, float]:
-    """Give the domain transform's sigmas, of space (px) and of colour (codes), for a smoother's strength and edges.
+    """Return the domain transform's sigmas, of space (px) and of colour (codes), that match a smoother's settings.
 
-    A line of the global smoother at strength s answers with a^|x|, a / (1 - a)^2 = s; the recursive one of sigma H with
-    exp(-sqrt(2) |x| / H). OpenCV has no H below 1 px, that is no strength below 0.4.
+    Along a line the global smoother of strength s has the response a^|x| with a / (1 - a)^2 = s; the recursive
+    smoother of sigma H has exp(-sqrt(2) |x| / H). OpenCV accepts no H below 1 px, which is a strength below 0.4.
+
+    Parameters
+    ----------
+    strength : float
+        Weight of the smoothness against the data.
+    edge_codes : float
+        Step of the guide (codes) at which the weight falls to 1/e.
+    colours : int
+        Number of planes of the guide, 1 or 3.
     """
     middle = 1 + 1 / (2 * strength)
     pole = middle - sqrt(middle**2 - 1)
@@ -268,10 +285,10 @@ def domain_transform(strength: float, edge_codes: float, colours: int) -> tuple[
 
 
 def _single_striped_smoother(picture: AnyArray, strength: float, edge_codes: float) -> Any:
-    """Create OpenCV's smoother for work in one stripe.
+    """Create OpenCV's smoother so that it works in one stripe.
 
-    It splits its work by the number of threads OpenCV has when it is created, and its last bits depend on where the
-    stripes end, hence on what other threads happen to do.
+    It divides its work by the number of threads that OpenCV has when it is created. The last bits of its result
+    depend on where the stripes end, and so on what other threads do.
     """
     with _CREATING:
         threads = cv2.getNumThreads()

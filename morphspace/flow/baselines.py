@@ -1,7 +1,7 @@
-"""Stock flow estimators from OpenCV and scikit-image, behind the one flow type, for comparison.
+"""Flow estimators of OpenCV and scikit-image as flow methods, for comparison.
 
-The settings of `dis` were chosen on real clips (benchmarks/results/defaults.md); the others are as they come. All work
-on grey images.
+The settings of `dis` were chosen on real clips (benchmarks/results/defaults.md); the others are the libraries'
+defaults. All estimators read grey images.
 """
 
 from __future__ import annotations
@@ -16,34 +16,32 @@ from morphspace.errors import BadInput
 from morphspace.flow import Flow, FlowFunction, FlowMethod
 from morphspace.flow.pairs import checked_frame, checked_picture, checked_start, is_featureless, unknown_flow
 
-SMOOTHING = (
-    0.02  # of the image's width; where registration and the search for the reference take DIS as it is
-)
-DIS_LEAST_PX = 17  # below it OpenCV finds no room for the patches of `dis`
+SMOOTHING = 0.02  # SD as a share of the image's width; for registration and the search for the reference
+DIS_LEAST_PX = 17  # px a side; OpenCV fails below it with the patches of `dis`
 LUMA = np.array([0.299, 0.587, 0.114], np.float32)  # ITU-R BT.601
 
 
 def grey_codes(image: Image) -> AnyArray:
-    """Give the luma of an image (h, w, 3) as (h, w) uint8, which is what OpenCV's estimators take."""
+    """Return the luma of an image (h, w, 3) as (h, w) uint8, the input of OpenCV's estimators."""
     return np.clip(image @ LUMA * 255 + 0.5, 0, 255).astype(np.uint8)
 
 
 def deepflow(reference: Image, frame: Image, start: Displacement | None = None) -> Displacement:
-    """Estimate the flow by OpenCV's DeepFlow (Weinzaepfel et al., ICCV 2013). It has no use for a start."""
+    """Estimate the flow by OpenCV's DeepFlow (Weinzaepfel et al., ICCV 2013); the start is ignored."""
     estimator = cv2.optflow.createOptFlow_DeepFlow()
     field: Displacement = estimator.calc(grey_codes(reference), grey_codes(frame), None)
     return field
 
 
 def dis(reference: Image, frame: Image, start: Displacement | None = None) -> Displacement:
-    """Estimate the flow by dense inverse search with hard settings: full size, 50 descents (Kroeger, ECCV 2016).
+    """Estimate the flow by dense inverse search at full size with 50 descents (Kroeger et al., ECCV 2016).
 
-    Raises `BadInput` for a picture of less than `DIS_LEAST_PX` a side.
+    Raises `BadInput` if a side of the pictures is below `DIS_LEAST_PX`.
     """
     height, width = reference.shape[:2]
     if min(height, width) < DIS_LEAST_PX:
         raise BadInput(
-            f"dis needs {DIS_LEAST_PX} px a side, the pictures have {width}x{height} px: choose fast or another"
+            f"the pictures are {width}x{height} px; expected at least {DIS_LEAST_PX} px a side for dis. Choose fast"
         )
     estimator = cv2.DISOpticalFlow.create(cv2.DISOPTICAL_FLOW_PRESET_MEDIUM)
     estimator.setFinestScale(0)
@@ -58,7 +56,7 @@ def dis(reference: Image, frame: Image, start: Displacement | None = None) -> Di
 def dis_medium(reference: Image, frame: Image, start: Displacement | None = None) -> Displacement:
     """Estimate the flow by dense inverse search with OpenCV's preset "medium".
 
-    Registration and the search for the reference use it, and the benchmarks as a peer; it is no method of `--flow`.
+    Registration, the search for the reference and the benchmarks use it; `--flow` does not offer it.
     """
     estimator = cv2.DISOpticalFlow.create(cv2.DISOPTICAL_FLOW_PRESET_MEDIUM)
     return _searched(estimator, reference, frame, start)
@@ -71,7 +69,7 @@ def _searched(estimator: object, reference: Image, frame: Image, start: Displace
 
 
 def tvl1(reference: Image, frame: Image, start: Displacement | None = None) -> Displacement:
-    """Estimate the flow by scikit-image's TV-L1 (Zach, Pock and Bischof 2007). It takes no start."""
+    """Estimate the flow by scikit-image's TV-L1 (Zach, Pock and Bischof, 2007); the start is ignored."""
     from skimage.registration import optical_flow_tvl1
 
     down, right = optical_flow_tvl1(reference @ LUMA, frame @ LUMA, dtype=np.float32)
@@ -79,16 +77,17 @@ def tvl1(reference: Image, frame: Image, start: Displacement | None = None) -> D
 
 
 def smoothed(field: Displacement) -> Displacement:
-    """Smooth a field (h, w, 2) by a Gaussian of `SMOOTHING` times its width; the edge is mirrored."""
+    """Smooth a field (h, w, 2) px by a Gaussian of `SMOOTHING` times its width, mirrored at the edge."""
     sd_px = SMOOTHING * field.shape[1]
     out: Displacement = cv2.GaussianBlur(field, (0, 0), sd_px, borderType=cv2.BORDER_REFLECT_101)
     return out
 
 
 def stock(estimate: Callable[[Image, Image, Displacement | None], Displacement]) -> FlowMethod:
-    """Give a stock estimator as a method; it shares nothing between frames, and its confidence is 1 everywhere.
+    """Wrap an estimator as a flow method; its confidence is 1 everywhere, and it shares nothing between frames.
 
-    Pictures are checked as for our own (`pairs`); nothing is found in one that is one colour all over.
+    Pictures are checked as for our own methods (`pairs`). The flow of a picture of one colour is zero with zero
+    confidence.
     """
 
     def for_reference(reference: Image) -> FlowFunction:

@@ -1,10 +1,10 @@
-"""What two pictures say about motion at each pixel: many derivative channels, each a distance in px, in one tensor.
+"""The motion constraints of two pictures at each pixel: many derivative channels, summed in one tensor.
 
-Each derivative (i, j) of the image gives its own motion constraint, X du + Y dv + T = 0 with X and Y its slopes in the
-mean of both pictures and T its change. Divided by its slope a constraint is a distance in px in which the picture's
-contrast has cancelled: the ratio of the Multi-channel Gradient Model (Johnston, McOwan and Benton, Proc. R. Soc. B
-1999). The sum of squares of all of them is a quadratic in (du, dv), six numbers a pixel, and the only thing the solver
-needs to know of the pictures.
+Each derivative (i, j) of the image has its own motion constraint, X du + Y dv + T = 0. X and Y are its slopes in the
+mean of both pictures, T is its change. Divided by its slope a constraint is a distance in px, from which the
+picture's contrast cancels: the ratio of the Multi-channel Gradient Model (Johnston, McOwan and Benton, Proc. R. Soc.
+B 1999). The sum of their squares is a quadratic in (du, dv), six numbers a pixel, and all that the solver uses of the
+pictures.
 """
 
 from __future__ import annotations
@@ -20,16 +20,24 @@ from morphspace.arrays import AnyArray
 from morphspace.flow.backends import Backend, Planes
 from morphspace.flow.filters import gaussian_derivative, up_to
 
-LIGHT_CELL_PX = 8  # over which the light of two pictures is compared
-MOST_MISMATCH_PX = 5.0  # a point that is off by more is simply wrong; more would only smear
+LIGHT_CELL_PX = 8  # px a side of the cells in which the light of two pictures is compared
+MOST_MISMATCH_PX = 5.0  # px; larger errors count the same, so that they do not spread in the average
 
 
 @dataclass(frozen=True, eq=False)
 class Channels:
-    """Which derivatives count, and how. `weights` one a total order 0, 1, ...; a weight of 0 leaves the order out.
+    """The derivatives that are compared, and their weights.
 
-    `sd_px` of the Gaussian; `noise_codes`, the sd of noise (8-bit codes) at which a slope counts half; `light_codes`,
-    the local change of light at which order 0, the raw picture, stops counting.
+    Attributes
+    ----------
+    weights : tuple of float
+        One for each total order 0, 1, ...; a weight of 0 leaves the order out.
+    sd_px : float
+        Of the Gaussian.
+    noise_codes : float
+        SD of the noise (8-bit codes) at which a slope counts half.
+    light_codes : float
+        Local change of light (8-bit codes) beyond which order 0, the raw picture, does not count.
     """
 
     weights: tuple[float, ...]
@@ -39,38 +47,38 @@ class Channels:
 
     @cached_property
     def kernels(self) -> tuple[AnyArray, ...]:
-        """The Gaussian's derivatives of order 0, 1, ..., one more than the channels have."""
+        """The Gaussian's derivatives of order 0, 1, ..., one order more than the channels have."""
         radius = max(3, ceil(4 * self.sd_px))
         return tuple(gaussian_derivative(n, self.sd_px, radius=radius) for n in range(len(self.weights) + 1))
 
     @property
-    def together(self) -> float:
-        """The weight of all channels; there are n + 1 of total order n."""
+    def total_weight(self) -> float:
+        """The total weight of all channels; there are n + 1 of total order n."""
         return sum((order + 1) * weight for order, weight in enumerate(self.weights))
 
     @cached_property
     def half_kernels(self) -> tuple[tuple[AnyArray, AnyArray], ...]:
-        """For each derivative the kernels (n,) across and down that give half of it, in the order of `up_to`."""
+        """The kernels (n,) across and down that compute half of each derivative, in the order of `up_to`."""
         halves = [
             kernel / 2 for kernel in self.kernels
-        ]  # one object each, by which a backend sees what is shared
+        ]  # a backend recognises a shared kernel by its identity
         return tuple((halves[i], self.kernels[j]) for i, j in up_to(len(self.weights)))
 
     @cached_property
     def right(self) -> tuple[int, ...]:
-        """For each channel, where its slope to the right is among the derivatives from order 1 on."""
+        """For each channel, the index of its slope to the right among the derivatives from order 1 on."""
         places = up_to(len(self.weights))[1:]
         return tuple(places.index((i + 1, j)) for i, j in up_to(len(self.weights) - 1))
 
     @cached_property
     def down(self) -> tuple[int, ...]:
-        """For each channel, where its slope down is among the derivatives from order 1 on."""
+        """For each channel, the index of its slope down among the derivatives from order 1 on."""
         places = up_to(len(self.weights))[1:]
         return tuple(places.index((i, j + 1)) for i, j in up_to(len(self.weights) - 1))
 
     @cached_property
     def noise_floors(self) -> tuple[tuple[float, ...], ...]:
-        """For each channel the squared slope that noise of `noise_codes` alone would have in one colour, by order."""
+        """For each channel, by order, the squared slope that noise of `noise_codes` alone has in one colour."""
         energy = [float((kernel**2).sum()) for kernel in self.kernels]
         return tuple(
             tuple(
@@ -86,13 +94,19 @@ Derivatives = Planes
 
 
 def of_order(order: int) -> slice:
-    """Say where the derivatives of a total order are among all."""
+    """Return the slice of the derivatives of one total order, in the order of `up_to`.
+
+    Examples
+    --------
+    >>> of_order(2)
+    slice(3, 6, None)
+    """
     first = order * (order + 1) // 2
     return slice(first, first + order + 1)
 
 
 def half_derivatives(backend: Backend, planes: Planes, channels: Channels) -> Derivatives:
-    """Give half of every derivative the channels need of planes (c, h, w): halves add up to means over two pictures."""
+    """Compute half of each derivative of planes (c, h, w): the sum of two is the mean of two pictures."""
     return backend.bank(planes, channels.half_kernels)
 
 
@@ -100,13 +114,16 @@ def half_derivatives(backend: Backend, planes: Planes, channels: Channels) -> De
 class Tensor:
     """The quadratic xx du^2 + yy dv^2 + 2 xy du dv + 2 xt du + 2 yt dv + tt, in px^2.
 
-    `sums` (6, h, w): xx, yy, xy, xt, yt, tt.
+    Attributes
+    ----------
+    sums : planes (6, h, w)
+        xx, yy, xy, xt, yt, tt.
     """
 
     sums: Planes
 
     def residual(self, du: Planes, dv: Planes) -> Planes:
-        """Give the quadratic at (du, dv), each (h, w): how far all channels together miss, in px^2."""
+        """Compute the quadratic at (du, dv) px, each (h, w): the squared error of all channels together, px^2."""
         xx, yy, xy, xt, yt, tt = self.sums
         out = xx * du
         out += 2 * xt
@@ -128,9 +145,17 @@ def tensor(
     channels: Channels,
     shape: tuple[int, int, int],
 ) -> Tensor:
-    """Sum the constraints of all channels; both pictures' half derivatives, the frame's after warping.
+    """Sum the squared constraints of all channels.
 
-    `shape` (c, h, w). The colours of a channel share one normalisation, so a colour without contrast adds no noise.
+    The colours of a channel share one normalisation, so a colour without contrast adds no noise.
+
+    Parameters
+    ----------
+    backend : Backend
+    reference, frame : planes (n, c, h, w)
+        Half derivatives of both pictures; those of the frame after warping.
+    channels : Channels
+    shape : (c, h, w)
     """
     _, height, width = shape
     total = backend.zeros(6, height, width)
@@ -161,7 +186,7 @@ def _add_constraints(
     agreement: Planes | float,
     channels: Channels,
 ) -> None:
-    """Add the constraints of some rows to the six sums `total` (6, h, w), those of T still for half the change."""
+    """Add the constraints of some rows to the six sums `total` (6, h, w); the sums with T use half the change."""
     mean = reference[1:] + frame[1:]
     colours = mean.shape[1]
     square = backend.dot(mean, mean)
@@ -169,7 +194,7 @@ def _add_constraints(
     half_change = frame[used] - reference[used]
     if raw_change is not None:
         half_change[0] = raw_change
-    weights, floors = _weights_and_floors(backend, channels)  # type: ignore[arg-type]  # by its identity
+    weights, floors = _weights_and_floors(backend, channels)  # type: ignore[arg-type]  # hashed by identity
     across, down = (backend.picked(square, places[used]) for places in (channels.right, channels.down))
     per_px = across + down
     per_px += colours * floors[used]
@@ -187,7 +212,7 @@ def _add_constraints(
 
 @lru_cache(maxsize=32)
 def _weights_and_floors(backend: Backend, channels: Channels) -> tuple[Planes, Planes]:
-    """Give the weight and the noise floor of each channel, (n, 1, 1) each; once, since a GPU waits for them."""
+    """Return weight and noise floor of each channel, (n, 1, 1) each; cached: a transfer makes a GPU wait."""
     weights = [weight for order, weight in enumerate(channels.weights) for _ in range(order + 1)]
     floors = [floor for order in channels.noise_floors for floor in order]
     as_planes = (backend.planes(np.array(values)[:, None, None]) for values in (weights, floors))
@@ -195,12 +220,12 @@ def _weights_and_floors(backend: Backend, channels: Channels) -> tuple[Planes, P
 
 
 def _light_apart(backend: Backend, change: Planes, light_codes: float) -> tuple[Planes, Planes]:
-    """Take the change of light common to the picture out of a change (c, h, w), and say if the rest is no light (0-d).
+    """Subtract the common change of light from a change (c, h, w); return the rest and the weight (0-d) of raw values.
 
-    The common part is the median (of every fourth pixel each way), so that adding a constant to a picture alters
-    nothing. What is left is averaged over cells of `LIGHT_CELL_PX`. Under one light most cells keep their colour, even
-    while a mouth opens in some; where the median cell is off by more than `light_codes` the light has changed, and raw
-    values soon count for nothing: exp(-1) of their weight at that limit, exp(-16) at twice it.
+    The common change is the median of every fourth pixel each way, so adding a constant to a picture alters nothing.
+    The rest is averaged over cells of `LIGHT_CELL_PX`. Under constant light most cells keep their colour, even while
+    a mouth opens in some. If the median cell changes by more than `light_codes`, the light has changed. The weight is
+    exp(-1) at that limit and exp(-16) at twice the limit.
     """
     xp = backend.xp
     height, width = change.shape[1:]
@@ -213,9 +238,14 @@ def _light_apart(backend: Backend, change: Planes, light_codes: float) -> tuple[
 
 @dataclass(frozen=True, eq=False)
 class Appearance:
-    """The first derivatives of a picture and what one px of error changes in them: to compare whole fields by.
+    """The first derivatives of a picture, scaled to px, by which whole fields are compared.
 
-    `slopes` (2, c, h, w); `per_px` (2, h, w), one over the square of the second derivatives.
+    Attributes
+    ----------
+    slopes : planes (2, c, h, w)
+        Half of each first derivative.
+    per_px : planes (2, h, w)
+        One over the square of the second derivatives: converts squared differences of slopes to px^2.
     """
 
     slopes: Planes
@@ -223,7 +253,7 @@ class Appearance:
 
 
 def appearance(backend: Backend, derivatives: Derivatives, channels: Channels) -> Appearance:
-    """Give the appearance of a picture from its half derivatives."""
+    """Compute the appearance of a picture from its half derivatives."""
     xp = backend.xp
     colours = derivatives.shape[1]
     right, down = (colours * floor / 4 for floor in channels.noise_floors[1])
@@ -235,10 +265,18 @@ def appearance(backend: Backend, derivatives: Derivatives, channels: Channels) -
 def mismatch(
     backend: Backend, reference: Appearance, slopes: Planes, x: Planes, y: Planes, blur: Any
 ) -> Planes:
-    """Say how badly the point of a frame at (x, y) px looks like each pixel of the reference: (h, w) px.
+    """Compute how far the frame at (x, y) px differs from each pixel of the reference, (h, w) px.
 
-    `slopes` (2, c, h, w) of the frame; `blur`, the kernel (n,) of the neighbourhood that is compared. Beyond the frame
-    nothing looks alike.
+    Parameters
+    ----------
+    backend : Backend
+    reference : Appearance
+    slopes : planes (2, c, h, w)
+        Half of each first derivative of the frame.
+    x, y : planes (h, w)
+        Positions in the frame, px. A position outside the frame has `MOST_MISMATCH_PX`.
+    blur : array (n,)
+        Kernel of the neighbourhood over which the difference is averaged.
     """
     xp = backend.xp
     _, colours, height, width = slopes.shape
@@ -251,5 +289,5 @@ def mismatch(
 
 
 def outside(x: Planes, y: Planes, height: int, width: int) -> Planes:
-    """Tell where (x, y) px lies outside a picture, as bool (h, w)."""
+    """Return where (x, y) px lies outside a picture, (h, w) bool."""
     return (x < 0) | (x > width - 1) | (y < 0) | (y > height - 1)

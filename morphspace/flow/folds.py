@@ -1,7 +1,7 @@
-"""Take the folds out of a field: where a morph would turn skin over, the field is smoothed until it does not (ours).
+"""Removal of folds: a field is smoothed where a morph would turn skin over (ours).
 
-Where a point of the reference is hidden in the frame (teeth behind closed lips) its neighbours' motions cross. No
-picture can tell where such points went; what a morph needs of them is that they keep their order.
+Where a point of the reference is hidden in the frame (teeth behind closed lips), the motions of its neighbours cross.
+The picture does not show where such points went; a morph needs only that they keep their order.
 """
 
 from __future__ import annotations
@@ -15,17 +15,15 @@ import numpy as np
 from morphspace.arrays import AnyArray, Displacement
 from morphspace.grid import warp
 
-LEAST_DETERMINANT = (
-    0.05  # a cell pressed to less of its area counts as folded: rounding must not turn it over
-)
-GENTLE = 0.47  # px from one pixel to the next; 1 - 2 x this is above `LEAST_DETERMINANT`
-BAND_PX = 16  # rows that are looked at together for steps that are not
+LEAST_DETERMINANT = 0.05  # area of a cell, of 1; a smaller one counts as folded: rounding could flip it
+GENTLE_STEP_PX = 0.47  # px; smaller steps cannot fold, as 1 - 2 x this exceeds `LEAST_DETERMINANT`
+BAND_PX = 16  # rows that are searched together for larger steps
 FIRST_SD_PX = 1.0
-GROWTH = 1.3  # of the smoothing from round to round
-NEAR = np.ones((3, 3), np.uint8)  # a cell and those to the right of it and below
-ROUNDS = 14  # the last smooths over 30 px: nothing an estimator makes outlasts it
-REACH_SD = 2.0  # of the smoothed neighbourhood around a folded cell
-BLURS_SD = 8.0  # two of OpenCV's Gaussians, one after the other, end there
+GROWTH = 1.3  # ratio of the smoothing in one round to that before
+NEIGHBOURS = np.ones((3, 3), np.uint8)  # a cell and those to the right of it and below
+ROUNDS = 14  # the last smooths over 30 px, which removes any fold of an estimator
+REACH_SD = 2.0  # SD; radius of the smoothed neighbourhood around a folded cell
+BLURS_SD = 8.0  # SD; two of OpenCV's Gaussians in sequence are 0 beyond it
 
 
 class Box(NamedTuple):
@@ -37,24 +35,35 @@ class Box(NamedTuple):
     right: int
 
     def of(self, grid: AnyArray) -> AnyArray:
-        """Give a view of this part of a grid (h, w, ...)."""
+        """Return a view of this part of a grid (h, w, ...)."""
         return grid[self.top : self.bottom, self.left : self.right]
 
     def cells(self) -> Box:
-        """Give the cells between these pixels, each named by its upper left one."""
+        """Return the box of the cells between these pixels, each indexed by its upper left pixel."""
         return Box(self.top, self.bottom - 1, self.left, self.right - 1)
 
 
 def suspects_when_enlarged(field: AnyArray, height: int, width: int) -> Box | None:
-    """Give the pixels outside which a field (2, h, w) px cannot fold once it is enlarged bilinearly to a size.
+    """Find where a field may fold once it is enlarged bilinearly.
 
-    None where it cannot fold at all. A step of the enlarged grid is a mean of the steps, of the same kind, of at most
-    2 x 3 cells of the field it came from, so its determinant is no less than what the worst of these could make.
+    A step of the enlarged grid is a mean of the steps of at most 2 x 3 cells of the field. Its determinant is at
+    least that of the worst combination of these steps.
+
+    Parameters
+    ----------
+    field : array (2, h, w), px
+    height, width : int
+        Size of the enlarged field, px.
+
+    Returns
+    -------
+    Box or None
+        Pixels of the enlarged field outside which it cannot fold; None if it cannot fold at all.
     """
     old_height, old_width = field.shape[1:]
     x, y = (
         cv2.copyMakeBorder(plane, 1, 1, 1, 1, cv2.BORDER_REPLICATE) for plane in field
-    )  # at rest beyond the edge
+    )  # no step at the edge
     across = _least(x[:, 1:] - x[:, :-1]) + 1, _most(y[:, 1:] - y[:, :-1])
     down = _least(y[1:] - y[:-1]) + 1, _most(x[1:] - x[:-1])
     kept = np.maximum(across[0][:-1], 0)
@@ -73,26 +82,26 @@ def suspects_when_enlarged(field: AnyArray, height: int, width: int) -> Box | No
 
 
 def _least(steps: AnyArray) -> AnyArray:
-    return cv2.erode(steps, NEAR, anchor=(0, 0))
+    return cv2.erode(steps, NEIGHBOURS, anchor=(0, 0))
 
 
 def _most(steps: AnyArray) -> AnyArray:
-    return cv2.dilate(np.abs(steps), NEAR, anchor=(0, 0))
+    return cv2.dilate(np.abs(steps), NEIGHBOURS, anchor=(0, 0))
 
 
 def _steep(field: Displacement) -> Box:
-    """Give the rows outside which no cell can fold: its determinant is 1 - 2 m or more where no step exceeds m px."""
+    """Return the rows outside which no cell can fold: if no step exceeds m px, its determinant is at least 1 - 2 m."""
     rows = len(field)
     steep = [
         top
         for top in range(0, rows - 1, BAND_PX)
-        if max(_largest_step(field[top : top + BAND_PX + 1])) >= GENTLE  # the row below is the cells' too
+        if max(_largest_step(field[top : top + BAND_PX + 1])) >= GENTLE_STEP_PX  # cells include the row below
     ]
     return Box(steep[0], min(steep[-1] + BAND_PX + 1, rows), 0, field.shape[1]) if steep else Box(0, 0, 0, 0)
 
 
 def _largest_step(field: Displacement) -> tuple[float, float]:
-    """Give the largest difference of a component between neighbours, across and down, px."""
+    """Return the largest difference of a component between neighbours, across and down, px."""
     return (
         cv2.norm(field[:, 1:], field[:, :-1], cv2.NORM_INF),
         cv2.norm(field[1:], field[:-1], cv2.NORM_INF),
@@ -100,13 +109,30 @@ def _largest_step(field: Displacement) -> tuple[float, float]:
 
 
 def unfolded(field: Displacement, suspects: Box | None = None) -> Displacement:
-    """Give the field (h, w, 2) px with its folds smoothed away, unchanged elsewhere.
+    """Smooth a field where it folds.
 
-    Folds are sought among the `suspects`, where given; see `suspects_when_enlarged`.
+    Each round smooths the field by a wider Gaussian around the cells whose determinant is below `LEAST_DETERMINANT`.
+    After `ROUNDS` rounds any remaining fold stays: a tear of some 400 px would remain.
 
-    Each round smooths the field by a wider Gaussian around the cells whose determinant is below
-    `LEAST_DETERMINANT`. A field without folds comes back as it is, the same array. After `ROUNDS` rounds what still
-    folds is left: a tear of some 400 px would be.
+    Parameters
+    ----------
+    field : array (h, w, 2) float32, px
+    suspects : Box, optional
+        The pixels that are searched for folds (`suspects_when_enlarged`); all by default.
+
+    Returns
+    -------
+    array (h, w, 2) float32, px
+        The same array if the field has no fold; otherwise a copy that differs around the folds only.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> field = np.zeros((40, 40, 2), np.float32)
+    >>> field[:, 20, 0] = -3
+    >>> mask = np.ones((40, 40), np.float32)
+    >>> warp.fold_fraction(field, mask) > 0, warp.fold_fraction(unfolded(field), mask)
+    (True, 0.0)
     """
     box = suspects or _steep(field)
     pressed = warp.determinants(box.of(field)) < LEAST_DETERMINANT if box.bottom else np.zeros((0, 0), bool)
@@ -124,7 +150,7 @@ def unfolded(field: Displacement, suspects: Box | None = None) -> Displacement:
         part = near_folds.of(out)
         cells = near_folds.cells().of(folded)
         corners = cv2.copyMakeBorder(cells.astype(np.float32), 0, 1, 0, 1, cv2.BORDER_CONSTANT, value=0)
-        touched = cv2.dilate(corners, np.ones((2, 2), np.uint8))  # all four of a cell
+        touched = cv2.dilate(corners, np.ones((2, 2), np.uint8))  # all four corners of a cell
         near = cv2.dilate(touched, np.ones((reach, reach), np.uint8))
         near = cv2.GaussianBlur(near, (0, 0), sd_px, borderType=cv2.BORDER_REPLICATE)[..., None]
         smooth = cv2.GaussianBlur(part, (0, 0), sd_px, borderType=cv2.BORDER_REPLICATE)
@@ -135,7 +161,7 @@ def unfolded(field: Displacement, suspects: Box | None = None) -> Displacement:
 
 
 def _box(cells: AnyArray, margin: int) -> Box:
-    """Give the pixels around the true cells (h - 1, w - 1), `margin` more on each side."""
+    """Return the box of the true cells (h - 1, w - 1), `margin` px larger on each side."""
     left, top, width, height = cv2.boundingRect(cells.astype(np.uint8))
     last_row, last_column = cells.shape[0] + 1, cells.shape[1] + 1
     return Box(

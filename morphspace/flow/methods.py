@@ -1,4 +1,4 @@
-"""The flow methods by name: what `--flow` and a model's file call them."""
+"""The flow methods by name, as `--flow` and a model's file call them."""
 
 from __future__ import annotations
 
@@ -12,10 +12,8 @@ from morphspace.flow.backends import Backend, OpenCVBackend
 from morphspace.flow.folds import unfolded
 from morphspace.flow.names import DEFAULT, DEFAULT_BACKEND, NAMES
 
-SMOOTHING = 0.015  # sd, of the image's width; held-out faces, benchmarks/results/defaults.md
-LEAST_WEIGHT = (
-    0.3  # of a point of no confidence; with less, wide open mouths follow their rims (flow-ablation.md)
-)
+SMOOTHING = 0.015  # SD as a share of the image's width; from held-out faces (results/defaults.md)
+LEAST_WEIGHT = 0.3  # of no confidence; with less, open mouths follow their rims (flow-ablation.md)
 
 METHODS: dict[str, FlowMethod] = {
     **{name: multiscale.method(preset) for name, preset in presets.PRESETS.items()},
@@ -29,10 +27,28 @@ __all__ = ["DEFAULT", "METHODS", "NAMES", "for_morphs", "named", "named_backend"
 
 
 def named(name: str, backend: str = DEFAULT_BACKEND) -> FlowMethod:
-    """Give the method of this name, on the machine that `named_backend` calls `backend`.
+    """Return the flow method of a name.
 
-    Raises `BadInput` for a name that is not in `METHODS`, for a backend that is not there, and for another than the
-    usual with a method that has no choice of it.
+    Parameters
+    ----------
+    name : str
+        One of `METHODS`.
+    backend : str
+        Where it runs; see `named_backend`. Only the presets of `multiscale` have a choice.
+
+    Raises
+    ------
+    BadInput
+        If the name or the backend does not exist, or the method does not run on the backend.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> y, x = np.mgrid[:48, :48]
+    >>> reference = np.repeat(np.exp(-((x - 24) ** 2 + (y - 24) ** 2) / 100)[..., None], 3, axis=2).astype(np.float32)
+    >>> flow = named("fast")(reference)(np.roll(reference, 2, axis=1))
+    >>> flow.displacement[24, 24].round().tolist()
+    [2.0, 0.0]
     """
     if name not in METHODS:
         raise BadInput(
@@ -43,32 +59,42 @@ def named(name: str, backend: str = DEFAULT_BACKEND) -> FlowMethod:
         return METHODS[name]
     if name not in presets.PRESETS:
         raise BadInput(
-            f"{name} does not run on {backend}, only {', '.join(presets.PRESETS)} do: choose one of them, or leave out "
-            "the backend"
+            f"the flow is {name}; expected one of {', '.join(presets.PRESETS)} with the backend {backend}. "
+            "Choose one of these or leave out the backend"
         )
     return multiscale.method(presets.PRESETS[name], named_backend(backend))
 
 
 def named_backend(name: str) -> Backend:
-    """Give the primitives by name: "opencv", "torch" (a GPU where there is one), "torch:cpu" or "torch:cuda".
+    """Return the backend of a name.
 
-    Raises `BadInput` for another name, where torch is not installed and where there is no such device.
+    Parameters
+    ----------
+    name : {"opencv", "torch", "torch:cpu", "torch:cuda"}
+        "torch" uses a GPU if there is one.
+
+    Raises
+    ------
+    BadInput
+        If the name is another, torch is not installed or the device does not exist.
     """
     if name == "opencv":
         return OpenCVBackend()
     library, _, device = name.partition(":")
     if library != "torch":
-        raise BadInput(f"the flow does not run on {name!r}: choose opencv, torch, torch:cpu or torch:cuda")
+        raise BadInput(
+            f"the backend is {name!r}; expected opencv, torch, torch:cpu or torch:cuda. Choose one of these"
+        )
     from morphspace.flow import torch_backend  # an optional dependency, and slow to import
 
     return torch_backend.TorchBackend(device or torch_backend.best_device())
 
 
 def for_morphs(name: str) -> FlowMethod:
-    """Return the method of this name as building and encoding use it: its flows are smoothed by a share of the face.
+    """Return the flow method of a name with its flows `smoothed`, as building and encoding use it (ours).
 
-    What flow does not tell, noise does. A morph pays for noise twice, in the warp and in the texture that makes up for
-    it. A field for its own sake is left as it was found. Ours.
+    Noise in a field enters a morph twice, in the warp and in the texture that compensates for it. A flow that is
+    wanted for itself is not smoothed.
     """
     method = named(name)
 
@@ -84,7 +110,18 @@ def for_morphs(name: str) -> FlowMethod:
 
 
 def smoothed(flow: Flow) -> Flow:
-    """Give the flow averaged by a Gaussian of `SMOOTHING` times its width, more of the confident points."""
+    """Average a flow by a Gaussian of `SMOOTHING` times its width, weighted by confidence, and remove its folds.
+
+    Parameters
+    ----------
+    flow : Flow
+        Displacement (h, w, 2) px and confidence (h, w).
+
+    Returns
+    -------
+    Flow
+        The smoothed displacement with the same confidence.
+    """
     sd_px = SMOOTHING * flow.displacement.shape[1]
     weight = flow.confidence + np.float32(LEAST_WEIGHT)
     stack = np.concatenate([flow.displacement * weight[..., None], weight[..., None]], axis=2)

@@ -1,34 +1,41 @@
-"""Motion in a clip as a model of human motion perception sees it: the Multi-channel Gradient Model, video form.
+"""Motion in a clip by the Multi-channel Gradient Model, a model of human motion perception, in its video form.
 
 Johnston, McOwan and Buxton (1992) and Johnston, McOwan and Benton (1999, 2003) describe a clip at each point by its
-Taylor expansion: derivatives of a Gaussian in space, of a log-Gaussian in time. Every derivative of the image obeys its
-own motion constraint, so velocity is a ratio of inner products over all of them: contrast cancels, and where the
-gradient vanishes the other derivatives do not. The steps below are numbered as they are taken.
+Taylor expansion: derivatives of a Gaussian in space, of a log-Gaussian in time. Every derivative of the image has its
+own motion constraint, so velocity is a ratio of inner products over all of them. Contrast cancels, and where the
+gradient vanishes the other derivatives do not. The computation has seven steps.
 
-1. Time: three causal kernels over 23 frames (`temporal_kernels`). 2. Space: derivatives up to order 5 (`filters`).
-3. Steering: the derivatives along and across 12 directions; the other 12 of the model's 24 only change the sign of
-both sides. 4. For each direction three vectors X, Y, T over (i, j, m): the derivative of each Taylor term (i along,
-j across, m in time) along, across and in time, weighted by the energy of the term over the integration zone
-(`taylor_weights`). Of i = 0 to 4, j = 0 to 1 the term (4, 1) is left out: its derivatives would be of order 6. Their
-six inner products make the symmetric 3 x 3 product matrix M, averaged over a small neighbourhood (ours).
-5. Speeds along and across, and inverse speeds, by two readings of M:
+1. Time: three causal kernels over 23 frames (`temporal_kernels`).
+2. Space: derivatives up to order 5 (`filters`).
+3. Steering: the derivatives along and across 12 directions. The other 12 of the model's 24 only change the sign of
+   both sides.
+4. For each direction three vectors X, Y, T over (i, j, m): the derivatives of each Taylor term along, across and in
+   time. A term has i derivatives along, j across and m in time; its weight is its energy over the integration zone
+   (`taylor_weights`). Of i = 0 to 4, j = 0 to 1 the term (4, 1) is omitted: its derivatives would be of order 6. The
+   six inner products of X, Y and T form the symmetric 3 x 3 product matrix M, averaged over a small neighbourhood
+   (ours).
+5. Speeds along and across, and inverse speeds, in two forms computed from M:
 
-- the inner form, published: s = (X.T / X.X) / (1 + (X.Y / X.X)^2), Y likewise; inverse X.T / T.T and Y.T / T.T. It is
-  exact where the image varies along one direction only (then M = g n n', n the normal of the edge in space-time), and
-  gives the velocity along the normal; with two directions it is a few per cent slow and tens of degrees astray.
-- the outer form, of the rows' cross products. For any pattern that moves as a whole, the rows of M are orthogonal to
-  (u, w, 1), so the cross product of the first two is a multiple of it: s = -(u, w), which is also the least squares
-  solution over all channels. Inverse speed s / |s|^2. Where the image has one direction only the product vanishes.
+   - The inner form, published: s = (X.T / X.X) / (1 + (X.Y / X.X)^2), Y likewise; inverse X.T / T.T and Y.T / T.T. It
+     is exact where the image varies along one direction only; then M = g n n', with n the normal of the edge in
+     space-time. It gives the velocity along the normal. With two directions it is a few per cent slow and tens of
+     degrees wrong.
+   - The outer form, from cross products of the rows. For any pattern that moves as a whole, the rows of M are
+     orthogonal to (u, w, 1), so the cross product of the first two is a multiple of it: s = -(u, w). This is also the
+     least squares solution over all channels. The inverse speed is s / |s|^2. Where the image has one direction only,
+     the product vanishes.
 
 6. Speed is the root of the ratio of the determinants of sums over the directions, direction the angle of a vector sum
-(`_velocity`). A common factor of the speeds cancels: it is the inverse speeds that set the speed. 7. Before the sums
-the two forms are blended by how two-dimensional the texture is, and how coherently it moves: b = k^2 / (k^2 + (plane +
-6 r)^2), k = 4 det / trace^2 of the spatial part of M (0 for one direction, 1 for directions in equal parts), r the
-share of T.T that the best velocity leaves over (noise is two-dimensional too, but does not move with the pattern).
+   (`_velocity`). A common factor of the speeds cancels, so the inverse speeds determine the speed.
+7. Before the sums the two forms are blended: b = k^2 / (k^2 + (plane + 6 r)^2) is the weight of the outer form.
+   Two-dimensional texture has a large k = 4 det / trace^2 of the spatial part of M (0 for one direction, 1 for
+   directions in equal parts). Incoherent motion has a large r, the share of T.T that the best velocity leaves: noise
+   is two-dimensional too, but does not move with the pattern.
 
-That the 2005 form blends an inner and an outer form of M is published; the formulas of the outer form and of b are
-ours, chosen by measurement (benchmarks/results/video.md), because the text of the paper was not at hand. So are the
-average over the neighbourhood, the confidence, and the sums of (X.T X.X) / (X.X^2 + X.Y^2) in place of two quotients.
+That the 2005 form blends an inner and an outer form of M is published. The formulas of the outer form and of b are
+ours, chosen by measurement (benchmarks/results/video.md), because the text of the paper was not available. Also ours
+are the average over the neighbourhood, the confidence, and the sums of (X.T X.X) / (X.X^2 + X.Y^2) in place of two
+quotients.
 """
 
 from __future__ import annotations
@@ -44,35 +51,39 @@ from morphspace.arrays import AnyArray, Displacement, Mask
 from morphspace.errors import BadInput
 from morphspace.flow import filters
 
-TAPS = 23  # frames, and pixels each way: the model's filters
-DIRECTIONS = 12  # half turn; the model's 24 are these and their opposites
+TAPS = 23  # frames of the temporal filters, and pixels each way of the spatial ones
+DIRECTIONS = 12  # over half a turn; the model's 24 are these and their opposites
 ORDERS = filters.up_to(filters.MAX_ORDER)
 SPACE_TERMS = tuple((i, j) for j in range(2) for i in range(5) if i + j < filters.MAX_ORDER)
-ZONE_RADIUS = 5  # the integration zone is 11 x 11 x 11
-ZONE_SCALE = 0.5 / sqrt(
-    0.5 * tan(pi / 24)
-)  # m1 of the model; the zone is longer across than along by its square
-MOST_SD_PX = 100.0  # wider than any picture this is meant for
-LARGEST_VALUE = 1e6  # beyond any grey level; squares and their sums stay far inside float32
+ZONE_RADIUS = 5  # samples; the integration zone is 11 x 11 x 11
+ZONE_SCALE = 0.5 / sqrt(0.5 * tan(pi / 24))  # m1 of the model; its square is the zone's aspect ratio
+MOST_SD_PX = 100.0  # px; wider than any useful filter
+LARGEST_VALUE = 1e6  # grey levels; its squares and their sums stay far inside float32
 LEAST_SIDE_PX = 16
 LEAST_GRADIENT = sqrt(0.1 / 11**3) / 255
-"""The model's threshold, 0.1, on a sum over its 1331 samples at 256 grey levels, as a gradient per px of [0, 1]."""
-REST_WEIGHT = 6.0
-"""Of r in the blend. 1 takes noise on a grating for a second direction (4 degrees astray with 5 % noise, 0.3 with 6);
-12 takes noise on a texture for want of one, and turning textures too."""
-RANK_TOL = 1e-6  # of the squared trace; float32 products, whose rounding would pass for a second direction
-LEAST_DETERMINANT = 1e-9  # of 36 where all directions agree; below, no direction saw motion
-EDGE_SD = 4.5  # of the filters from the edge: from there on a drifting texture was right to 0.2 %
-BAND_PX = 1024  # at a time: a direction's derivatives stay in the cache, and BLAS wakes no second thread
+"""Per px, in [0, 1]: the model's threshold, 0.1 on a sum over 1331 samples at 256 grey levels, as a gradient."""
+RESIDUAL_WEIGHT = 6.0
+"""Weight of r in the blend. At 1, noise on a grating acts as a second direction: 5 % noise gives an error of 4 degrees,
+with 6 one of 0.3. At 12, noise on a texture and turning textures act as a single direction."""
+RANK_TOL = 1e-6  # share of the squared trace; float32 rounding would imitate a second direction
+LEAST_DETERMINANT = 1e-9  # 36 where all directions agree; below it no direction has motion
+EDGE_SD = 4.5  # SD of the filters from the edge, at which a drifting texture was right to 0.2 %
+BAND_PX = 1024  # pixels at a time: a direction's derivatives fit the cache, and BLAS starts no second thread
 
 
 @dataclass(frozen=True, eq=False)
 class Motion:
-    """The motion in a clip, for each of its frames.
+    """The motion in a clip of t frames.
 
-    `velocity` (t, h, w, 2) px per frame, [..., 0] right, [..., 1] down: where the pattern in frame n is going.
-    `confidence` (t, h, w) in [0, 1]: the share of the change in time that the velocity explains, 0 without texture.
-    Of a single edge or grating only the velocity along its normal can be seen; that is what it has, with confidence.
+    At a single edge or grating only the velocity along its normal can be measured; `velocity` then has it, with
+    confidence.
+
+    Attributes
+    ----------
+    velocity : array (t, h, w, 2) float32
+        In px per frame, [..., 0] right, [..., 1] down: the motion of the pattern in frame n.
+    confidence : array (t, h, w) float32
+        In [0, 1]: the share of the change in time that the velocity explains; 0 without texture.
     """
 
     velocity: Displacement
@@ -90,29 +101,64 @@ def motion(
     plane: float = 3e-4,
     least_gradient: float = LEAST_GRADIENT,
 ) -> Motion:
-    """Give the velocity at every point of a grey clip (t, h, w), any float or integer type, [0, 1] by custom.
+    """Compute the velocity at every point of a grey clip.
 
-    The velocity of frame n rests on the 23 frames n - 12 to n + 10, for `alpha_frames` of 10: the filters are causal
-    and peak that many frames back, so an observer has it at frame n + 10. The weight lies within some 3 frames of n
-    (its centre is 0.3 frames before n). Frames without a full window, the first 12 and the last 10, have velocity 0 and
-    confidence 0. Patterns may turn by up to 2 radians of their phase a frame (a third of a wavelength); what is faster
-    is aliased or filtered out. Within 7 px of the edge (4.5 `sd_px`) the mirrored image enters, which moves the other
-    way: the velocity there is wrong by up to all of it, and the confidence falls to 0 with the distance to the edge.
+    Parameters
+    ----------
+    clip : array (t, h, w)
+        Any float or integer type, by custom in [0, 1].
+    sd_px : float
+        Width of the Gaussian; sqrt(3) px is the heat kernel of one published port.
+    alpha_frames, tau : float
+        Peak (frames) and width of the log-Gaussian.
+    time_scale : float
+        Weight of the terms in time. The published 24 gives the second derivative in time most weight. Use 1 for
+        camera
+        recordings (Notes).
+    zone_sd_px : float
+        Width of the Gaussian that averages the six products; 0 for no average.
+    plane : float
+        Two-dimensionality at which the inner and outer form have equal weight without noise. Infinite is the first
+        form (1999),
+        the inner form alone.
+    least_gradient : float
+        Smallest gradient that counts as texture, and change that counts as motion, in the clip's units per px.
 
-    `sd_px` is the width of the Gaussian; sqrt(3) is the heat kernel of one published port. `alpha_frames` and `tau` are
-    the peak and width of the log-Gaussian. `time_scale` is the model's weight of the terms in time (24 as published,
-    which makes the second derivative in time count most; with 1 the same noise does a fraction of the harm).
-    `zone_sd_px` averages the six products by a Gaussian, 0 not at all. `plane` is the two-dimensionality at which inner
-    and outer form count alike without noise; infinite is the first form (1999), inner alone. Gradients under
-    `least_gradient`, in the clip's units per px, are no texture, and changes under it no motion.
+    Returns
+    -------
+    Motion
+        Velocity and confidence are 0 in the first 12 and the last 10 frames, which have no full window.
 
-    Noise makes the inner form fast (T.T grows, X.T does not), most where little moves, and the published weights listen
-    to the second derivative in time, which has most of it: a texture of 8-bit codes at 0.07 px per frame is seen at
-    0.16, with confidence 0; with `time_scale` 1 it is right to 5 %, confidence 0.97. Use 1 for what a camera took.
+    Raises
+    ------
+    BadInput
+        If the clip is not (t, h, w), shorter than 23 frames, smaller than 16 px, or not finite, or a filter cannot
+        exist.
 
-    Adding a constant to the clip changes nothing; a gain changes nothing while gradients stay well above the least.
-    Memory is that of the result and some 200 numbers a pixel, however long the clip. Raises `BadInput` for a clip that
-    is not (t, h, w), shorter than 23 frames, smaller than 16 px, or not finite, and for filters that cannot be.
+    Notes
+    -----
+    The velocity of frame n depends on the 23 frames n - 12 to n + 10, for `alpha_frames` of 10. The filters are
+    causal and peak
+    that many frames back, so an observer has the velocity at frame n + 10. Most weight lies within 3 frames of n; its
+    centre is
+    0.3 frames before n.
+
+    Patterns may move by up to 2 radians of their phase a frame (a third of a wavelength); faster motion is aliased or
+    filtered out. Within 7 px of the edge (4.5 `sd_px`) the mirrored image enters, which moves the opposite way. The
+    velocity there may be wrong by its full size, and the confidence falls to 0 towards the edge.
+
+    Noise makes the inner form fast (T.T grows, X.T does not), most where motion is slow. The published weights
+    emphasise the second
+    derivative in time, which has most noise: a texture of 8-bit codes at 0.07 px per frame is measured as 0.16, with
+    confidence
+    0. With `time_scale` 1 it is correct to 5 %, with confidence 0.97.
+
+    A constant added to the clip changes nothing, nor does a gain while gradients stay well above `least_gradient`.
+    Memory is that of the result and some 200 numbers a pixel, for any length of the clip.
+
+    References
+    ----------
+    Johnston, McOwan and Benton, Proc. R. Soc. B 266, 1999; the module's steps say which parts are ours.
     """
     _check(clip)
     if not (
@@ -123,11 +169,11 @@ def motion(
         and 0 <= time_scale < inf
     ):
         raise BadInput(
-            f"there is no motion with sd_px {sd_px}, zone_sd_px {zone_sd_px}, plane {plane}, least_gradient "
-            f"{least_gradient} and time_scale {time_scale}: give numbers above 0 (zone and time scale may be 0)"
+            f"sd_px is {sd_px}, zone_sd_px {zone_sd_px}, plane {plane}, least_gradient {least_gradient} and "
+            f"time_scale {time_scale}; expected finite numbers above 0 (the zone and time scale may be 0). Change it"
         )
     kernels = temporal_kernels(alpha_frames, tau).astype(np.float32)
-    ahead = round(alpha_frames)  # frames of the window after the one that the velocity belongs to
+    ahead = round(alpha_frames)  # frames of the window after the frame of the velocity
     steering = _steering()
     gain = np.float32(sqrt(_energy(time_scale, 1)))
     inside = _inside(clip.shape[1], clip.shape[2], EDGE_SD * sd_px)
@@ -135,7 +181,7 @@ def motion(
     confidence = np.zeros(clip.shape, np.float32)
     for first in range(len(clip) - TAPS + 1):
         window = np.asarray(clip[first : first + TAPS], np.float32)[::-1]
-        smoothed = np.tensordot(kernels, window - window.mean(), 1)  # the mean only costs digits
+        smoothed = np.tensordot(kernels, window - window.mean(), 1)  # without the mean, which costs digits
         bank = np.stack([filters.derivatives(image, ORDERS, sd_px, radius=TAPS // 2) for image in smoothed])
         products = _products(bank, steering, gain)
         if zone_sd_px > 0:
@@ -152,38 +198,64 @@ def _check(clip: AnyArray) -> None:
         what = (
             f"an array {clip.shape} of {clip.dtype}" if isinstance(clip, np.ndarray) else type(clip).__name__
         )
-        raise BadInput(f"motion is of a grey clip, an array (frames, height, width), not of {what}")
+        raise BadInput(f"the clip is {what}; expected a grey array (frames, height, width). Convert it")
     frames, height, width = clip.shape
     if frames < TAPS:
-        raise BadInput(f"the clip has {frames} frames, and motion needs {TAPS} or more: give a longer one")
+        raise BadInput(f"the clip has {frames} frames; expected at least {TAPS}. Use a longer clip")
     if min(height, width) < LEAST_SIDE_PX:
         raise BadInput(
-            f"the clip is {width} x {height} px, and motion needs {LEAST_SIDE_PX} px or more each way"
+            f"the clip is {width} x {height} px; expected at least {LEAST_SIDE_PX} px a side. Use a larger one"
         )
     for number, frame in enumerate(clip):  # one at a time: a clip may be larger than memory
         if not np.isfinite(frame).all():
             raise BadInput(
-                f"frame {number} of the clip has values that are not finite: mend or leave out that frame"
+                f"frame {number} of the clip has values that are not finite; expected none. Repair or remove it"
             )
         if float(np.abs(frame.astype(np.float64)).max()) > LARGEST_VALUE:
             raise BadInput(
-                f"frame {number} of the clip has values beyond {LARGEST_VALUE:.0e}: scale the clip to grey levels"
+                f"frame {number} of the clip has values beyond {LARGEST_VALUE:.0e}, the limit. Scale the clip to [0, 1]"
             )
 
 
 def temporal_kernels(alpha_frames: float = 10.0, tau: float = 0.2) -> AnyArray:
-    """Give the kernels (3, 23) float64 over the frames back from the newest: a log-Gaussian and two derivatives.
+    """Compute the temporal filters: a log-Gaussian and its first two derivatives.
 
-    k0(t) = exp(-(ln(t / alpha) / tau)^2) / (sqrt(pi) alpha tau exp(tau^2 / 4)), k(0) = 0; k1 and k2 are its analytic
-    derivatives (Johnston, McOwan and Benton 1999). The sampled sums, already 1, 0, 0 to within 3e-7, are made exact
-    with multiples of k0 (ours), so that what stands still gives no motion.
+    k0(t) = exp(-(ln(t / alpha) / tau)^2) / (sqrt(pi) alpha tau exp(tau^2 / 4)), k0(0) = 0; k1 and k2 are its analytic
+    derivatives. The sums of the samples, 1, 0, 0 to within 3e-7, are made exact with multiples of k0 (ours), so that
+    a static clip has no motion.
 
-    Raises `BadInput` where the kernel does not fit in 23 frames or is narrower than they can sample (sum of k0 off by
-    more than 1e-3, of k1 and k2 by more than 1e-2).
+    Parameters
+    ----------
+    alpha_frames : float
+        Peak, in frames back from the newest.
+    tau : float
+        Width.
+
+    Returns
+    -------
+    array (3, 23) float64
+        Over the frames back from the newest.
+
+    Raises
+    ------
+    BadInput
+        If the kernel does not fit in 23 frames or is too narrow to sample: the sum of k0 is off by more than 1e-3, or
+        those of k1 and
+        k2 by more than 1e-2.
+
+    References
+    ----------
+    Johnston, McOwan and Benton, Proc. R. Soc. B 266, 1999.
+
+    Examples
+    --------
+    >>> temporal_kernels().argmax(axis=1).tolist()[0]
+    10
     """
     if not (0 < alpha_frames < TAPS and 0 < tau < TAPS):
         raise BadInput(
-            f"a log-Gaussian needs a peak and a width above 0 and under {TAPS}, not {alpha_frames} frames and {tau}"
+            f"the log-Gaussian has its peak at {alpha_frames} frames and the width {tau}; expected both above 0 and "
+            f"under {TAPS}. Change alpha_frames or tau"
         )
     back = np.arange(1.0, TAPS)
     log = np.log(back / alpha_frames)
@@ -195,7 +267,8 @@ def temporal_kernels(alpha_frames: float = 10.0, tau: float = 0.2) -> AnyArray:
     sums = kernels.sum(axis=1)
     if abs(sums[0] - 1) > 1e-3 or np.abs(sums[1:]).max() > 1e-2:
         raise BadInput(
-            f"a log-Gaussian of peak {alpha_frames} frames and width {tau} does not fit in {TAPS} frames"
+            f"the log-Gaussian with its peak at {alpha_frames} frames and the width {tau} does not fit {TAPS} frames. "
+            "Change alpha_frames or tau"
         )
     kernels[0] /= sums[0]
     kernels[1:] -= sums[1:, None] * kernels[0]
@@ -203,11 +276,12 @@ def temporal_kernels(alpha_frames: float = 10.0, tau: float = 0.2) -> AnyArray:
 
 
 def taylor_weights() -> AnyArray:
-    """Give the weight (9,) of each of `SPACE_TERMS`: the energy of its Taylor term over the integration zone.
+    """Compute the weight (9,) of each of `SPACE_TERMS`: the energy of its Taylor term over the integration zone.
 
-    The mean over p, q = -5 to 5 of [(p / m1)^i (q / m2)^j / (i! j!)]^2, m1 = 0.5 / sqrt(0.5 tan(pi / 24)), m2 = 1 / m1
-    (Johnston, McOwan and Benton 1999). The weight of a term (i, j, m) is this times the energy of the term in time, the
-    mean of [(time_scale r)^m / m!]^2; a mean, where the model has the sum, makes the weight of the gradient itself 1.
+    It is the mean over p, q = -5 to 5 of [(p / m1)^i (q / m2)^j / (i! j!)]^2, with m1 = 0.5 / sqrt(0.5 tan(pi / 24))
+    and m2 = 1 / m1 (Johnston, McOwan and Benton, 1999). The weight of a term (i, j, m) is this times its energy in
+    time, the mean of [(time_scale r)^m / m!]^2. The model has sums in place of means; with means the weight of the
+    gradient itself is 1.
     """
     return np.array([_energy(1 / ZONE_SCALE, i) * _energy(ZONE_SCALE, j) for i, j in SPACE_TERMS])
 
@@ -219,9 +293,10 @@ def _energy(scale: float, power: int) -> float:
 
 @lru_cache(maxsize=1)
 def _steering() -> AnyArray:
-    """Give (12, 27, 21) float32: for each direction the rows that make X, Y and T (9 each) of the `ORDERS`.
+    """Compute (12, 27, 21) float32: for each direction the rows that map the `ORDERS` to X, Y and T (9 rows each).
 
-    D^(a, b) = (c dx + s dy)^a (-s dx + c dy)^b, by the binomials; each row by the root of its Taylor weight.
+    D^(a, b) = (c dx + s dy)^a (-s dx + c dy)^b, expanded by binomials; each row is scaled by the root of its Taylor
+    weight.
     """
     polynomial = np.polynomial.polynomial
     roots = np.sqrt(taylor_weights())
@@ -238,7 +313,7 @@ def _steering() -> AnyArray:
 
 
 def _inside(height: int, width: int, reach_px: float) -> Mask:
-    """Give the distance to the nearest edge, across and down, as shares of the reach: 0 on an edge, 1 inside."""
+    """Return the distance to the nearest edge, across and down, as shares of the reach: 0 on an edge, 1 inside."""
     across, down = (np.minimum(np.arange(n), np.arange(n)[::-1]) / reach_px for n in (width, height))
     return (np.minimum(down, 1)[:, None] * np.minimum(across, 1)).astype(np.float32)
 
@@ -249,7 +324,7 @@ def _cosines() -> tuple[AnyArray, AnyArray]:
 
 
 def _products(bank: AnyArray, steering: AnyArray, gain: np.float32) -> AnyArray:
-    """Give X.X, X.Y, Y.Y, X.T, Y.T, T.T as (12, 6, h, w), from the derivatives (3, 21, h, w)."""
+    """Compute X.X, X.Y, Y.Y, X.T, Y.T, T.T, (12, 6, h, w), from the derivatives (3, 21, h, w)."""
     height, width = bank.shape[2:]
     flat = bank.reshape(3, len(ORDERS), -1)
     out = np.empty((DIRECTIONS, 6, height * width), np.float32)
@@ -269,7 +344,7 @@ def _products(bank: AnyArray, steering: AnyArray, gain: np.float32) -> AnyArray:
 
 
 def _readings(products: AnyArray, plane: float, least: float) -> tuple[AnyArray, AnyArray]:
-    """Give velocity (h, w, 2) and confidence (h, w) of the products (12, 6, h, w), a band at a time."""
+    """Compute velocity (h, w, 2) and confidence (h, w) from the products (12, 6, h, w), a band at a time."""
     height, width = products.shape[2:]
     flat = products.reshape(DIRECTIONS, 6, -1)
     velocity = np.empty((height * width, 2), np.float32)
@@ -285,9 +360,9 @@ def _readings(products: AnyArray, plane: float, least: float) -> tuple[AnyArray,
 
 
 def _speeds(matrix: AnyArray, plane: float, least: float) -> tuple[AnyArray, AnyArray, AnyArray, AnyArray]:
-    """Give speeds along and across and inverse speeds, each (12, n), inner and outer form blended: steps 5 and 7.
+    """Compute speeds along and across and inverse speeds, each (12, n), blended from both forms: steps 5 and 7.
 
-    All with the sign of the ratios (against the motion). A quotient is 0 where its denominator is under the threshold.
+    All have the sign of the ratios, opposite to the motion. A quotient with a denominator under the threshold is 0.
     """
     xx, xy, yy, xt, yt, tt = matrix
     inner_along = xt * _quotient(xx, xx**2 + xy**2, least**2)
@@ -299,11 +374,11 @@ def _speeds(matrix: AnyArray, plane: float, least: float) -> tuple[AnyArray, Any
     outer_along = np.where(rank, _quotient(to_along, minor, least**2), inner_along)
     outer_across = np.where(rank, _quotient(to_across, minor, least**2), inner_across)
     squared = outer_along**2 + outer_across**2
-    # twice the minor over the squared trace, and det M / minor: what least squares leaves of T.T
+    # k = 4 minor / trace^2, and det M / minor, the residual of least squares
     spread = 4 * minor.sum(axis=0) / np.maximum(((xx + yy) ** 2).sum(axis=0), least**2)
     left = (tt * minor - xt * to_along - yt * to_across).sum(axis=0)
-    rest = _quotient(left, minor.sum(axis=0) * np.maximum(tt.mean(axis=0), least), least**3)
-    outer = spread**2 / (spread**2 + (plane + REST_WEIGHT * np.maximum(rest, 0)) ** 2)
+    residual = _quotient(left, minor.sum(axis=0) * np.maximum(tt.mean(axis=0), least), least**3)
+    outer = spread**2 / (spread**2 + (plane + RESIDUAL_WEIGHT * np.maximum(residual, 0)) ** 2)
     return (
         inner_along + outer * (outer_along - inner_along),
         inner_across + outer * (outer_across - inner_across),
@@ -315,10 +390,10 @@ def _speeds(matrix: AnyArray, plane: float, least: float) -> tuple[AnyArray, Any
 def _velocity(
     along: AnyArray, across: AnyArray, inverse_along: AnyArray, inverse_across: AnyArray
 ) -> AnyArray:
-    """Give velocity (n, 2) from speeds and inverse speeds (12, n): step 6.
+    """Compute velocity (n, 2) from speeds and inverse speeds (12, n): step 6.
 
-    The determinant of the sums of speeds has the sign of a reflection, hence the minus; the vector sum has that of the
-    ratios, against the motion.
+    The determinant of the sums of speeds has the sign of a reflection, hence the minus. The vector sum has the sign
+    of the ratios, opposite to the motion.
     """
     c, s = (each[:, None] for each in _cosines())
     speeds = (along * c).sum(0) * (across * s).sum(0) - (along * s).sum(0) * (across * c).sum(0)
@@ -331,7 +406,7 @@ def _velocity(
 
 
 def _confidence(matrix: AnyArray, velocity: AnyArray, least: float) -> AnyArray:
-    """Give the share of T.T that this velocity explains, over all directions; less where there is hardly texture."""
+    """Compute the share of T.T that the velocity explains over all directions, reduced where texture is weak."""
     xx, xy, yy, xt, yt, tt = matrix
     c, s = (each[:, None] for each in _cosines())
     u, w = velocity.T
@@ -344,7 +419,7 @@ def _confidence(matrix: AnyArray, velocity: AnyArray, least: float) -> AnyArray:
 
 
 def _quotient(numerator: AnyArray, denominator: AnyArray, least: float) -> AnyArray:
-    """Divide, and give 0 where the denominator is not above `least`."""
+    """Divide; the result is 0 where the denominator is not above `least`."""
     enough = denominator > least
     quotient: AnyArray = np.where(enough, numerator, 0) / np.where(enough, denominator, 1)
     return quotient

@@ -1,11 +1,10 @@
-"""The registration form of multiscale gradient flow: two pictures, large displacements; what builds the morphs (ours).
+"""Registration of two pictures with large displacements by multiscale gradient flow, for the morphs (ours).
 
-From the coarsest scale to the finest, the frame is sampled at the present field, every derivative channel says by how
-many px it is still off (`constraints`), and the field takes the step that agrees best with all channels and with its
-neighbours: robust least squares, solved by alternating a 2 x 2 solve at each pixel with an edge-aware smoothing of the
-whole field (a few rounds of the alternating direction method of multipliers, which draws the two together). In between
-each pixel may take over the motion of a field it was given as a start, and with some presets of a pixel near by, where
-that looks more alike.
+From the coarsest scale to the finest, the frame is sampled at the present field. Every derivative channel then gives
+the remaining displacement in px (`constraints`). The field takes the step that fits all channels and its neighbours
+best: robust least squares by a few rounds of the alternating direction method of multipliers. Each round solves a 2 x
+2 system at each pixel and smooths the whole field along edges. Between the warps a pixel may take over the motion of
+a start, and with some presets that of a nearby pixel, if the pictures match better there.
 """
 
 from __future__ import annotations
@@ -39,27 +38,21 @@ from morphspace.flow.pairs import checked_frame, checked_picture, checked_start,
 from morphspace.flow.presets import Preset
 from morphspace.flow.pyramid import colour_planes, is_flat, pyramid, shift_between
 
-COARSE_PX = (
-    160  # the longer side of scales at which raw values lead: lips are a few px there, their colour is seen
-)
-START_PX = 140  # the longer side up to which a start is tried; at the coarsest scale it always is
-SURROUNDINGS_PX = 1.5  # sd of the neighbourhood by which a rival is judged
-CLEARLY, CLEARLY_PX = (
-    0.9,
-    0.05,
-)  # a rival must look better by this share and this much: equals would add noise
-INVERSE_STEPS = 4  # to the first guess of the way back, which is then refined
+COARSE_PX = 160  # px, longer side up to which raw values lead: lips are a few px there
+START_PX = 140  # px, longer side up to which a start is tried; at the coarsest scale it always is
+SURROUNDINGS_PX = 1.5  # px, SD of the neighbourhood in which a rival is judged
+RIVAL_RATIO = 0.9  # a rival's misfit must be below this share of the field's, and
+RIVAL_GAIN_PX = 0.05  # px below that: equal rivals would add noise
+INVERSE_STEPS = 4  # fixed-point steps to the first estimate of the backward flow, which is then refined
 WARPS_BACK = 1
-LEAST_CONTRAST = (
-    0.02  # of a pixel's channels, which sum to the weights where there is texture; a half at this
-)
-MISSED_PX = 4.0  # of the way there and back at which confidence is a half and falls off fast
-UNLIKE_PX = 0.7  # the same for the channels, rms; those of two unrelated textures miss by a pixel and more
+LEAST_CONTRAST = 0.02  # sum of a pixel's channels, of their weights, at which confidence is a half
+MISSED_PX = 4.0  # px of forward-backward error at which confidence is a half
+UNLIKE_PX = 0.7  # px, RMS misfit of the channels likewise; unrelated textures have a pixel and more
 
 
 @dataclass(frozen=True, eq=False)
 class ReferenceLevel:
-    """What one scale of the reference gives to every frame."""
+    """One scale of the reference, computed once for all frames."""
 
     planes: Planes
     derivatives: Derivatives
@@ -70,12 +63,34 @@ class ReferenceLevel:
 
 
 def method(preset: Preset, backend: Backend | None = None) -> FlowMethod:
-    """Give the estimator as a flow method."""
+    """Return the estimator as a flow method; on OpenCV by default."""
     return lambda reference: matcher(reference, preset, backend or OpenCVBackend())
 
 
 def matcher(reference: Image, preset: Preset, backend: Backend) -> FlowFunction:
-    """Prepare a reference (h, w, 3), and give the function that finds frames from it."""
+    """Prepare a reference for the flow to any number of frames.
+
+    Parameters
+    ----------
+    reference : array (h, w, 3)
+    preset : Preset
+    backend : Backend
+
+    Returns
+    -------
+    FlowFunction
+        The flow from the reference to a frame.
+
+    Raises
+    ------
+    BadInput
+        If the reference cannot be used (`pairs.checked_picture`).
+
+    References
+    ----------
+    Ours. The channels are those of the Multi-channel Gradient Model (Johnston, McOwan and Benton, 1999); see
+    `constraints`.
+    """
     reference = checked_picture(reference, "the reference")
     height, width = reference.shape[:2]
     planes = colour_planes(reference, preset)
@@ -119,7 +134,7 @@ def matcher(reference: Image, preset: Preset, backend: Backend) -> FlowFunction:
 
 
 def _smoother(guide: Planes, preset: Preset, backend: Backend) -> Callable[[Planes], Planes]:
-    """Give the smoother of a scale: at small ones that which has the least to prepare."""
+    """Return the smoother of a scale: at small scales the recursive one, which prepares less."""
     small = max(guide.shape[1:]) <= preset.recursive_px
     make = backend.recursive_smoother if small else backend.smoother
     return make(guide, preset.strength, preset.edge_codes)
@@ -134,7 +149,9 @@ def _reference_level(
     return ReferenceLevel(
         planes=planes,
         derivatives=derivatives,
-        appearance=cache(partial(appearance, backend, derivatives, preset.channels)),  # few ask for it
+        appearance=cache(
+            partial(appearance, backend, derivatives, preset.channels)
+        ),  # computed only if rivals are tried
         smooth=smooth,
         x=backend.planes(x),
         y=backend.planes(y),
@@ -149,12 +166,12 @@ def _matched(
     start: Planes | None,
     first: Planes | None,
 ) -> tuple[Planes, Planes]:
-    """Find the field at the finest level, and its confidence (h, w): likeness, times agreement with the way back.
+    """Compute the field at the finest level and its confidence (h, w): likeness times agreement with the backward flow.
 
-    `start` is a field of any size that pixels may take over, `first` the field of the coarsest level to begin from.
+    `start` is a field of any size that pixels may take over; `first` is the initial field of the coarsest level.
     """
     sizes = [max(level.planes.shape[1:]) for level in levels]
-    coarsest = len(levels) - (1 if preset.checked_px else 0)  # of a long strip, none may be small enough
+    coarsest = len(levels) - (1 if preset.checked_px else 0)  # no level of a long strip may be small enough
     checked = next((n for n, size in enumerate(sizes) if size <= preset.checked_px), coarsest)
     field: Any = first
     trust: Any = None
@@ -174,10 +191,10 @@ def _matched(
 def _trust(
     level: ReferenceLevel, target: Planes, field: Planes, px: float, preset: Preset, backend: Backend
 ) -> Planes:
-    """Say how well the way back agrees with the field at each pixel, (h, w), 1 where they cancel.
+    """Compute how well the backward flow cancels the field at each pixel, (h, w), 1 for full agreement.
 
-    The way back starts from the field's inverse and may then correct itself by the pictures, pixel by pixel; `px` is
-    how many px of the finest level one of this level is.
+    The backward flow starts from the field's inverse and is refined without smoothing. `px` is the size of a pixel of
+    this level in pixels of the finest level.
     """
     back_level = _reference_level(target, preset, backend, lambda planes: planes)
     back = -field
@@ -200,7 +217,7 @@ def _descend(
 ) -> tuple[Planes, Callable[[], Planes]]:
     """Refine a field through the levels below number `above`, coarsest first, down to `last`.
 
-    Gives the field and the function that says how alike the pictures are by it; see `_likeness`.
+    Returns the field and the function that computes the likeness of the pictures (`_likeness`).
     """
     alike: Any = None
     for number in reversed(range(last, above)):
@@ -237,30 +254,30 @@ def _refined(
     preset: Preset,
     backend: Backend,
 ) -> tuple[Planes, Callable[[], Planes]]:
-    """Refine a field, None for zero, at one scale; give it and the function of its likeness."""
+    """Refine a field (None for zero) at one scale; return it and the function of its likeness."""
     xp = backend.xp
     read = backend.sampler(target)
     dual = None
-    at_rest = field is None  # the frame is then where it is
+    is_zero = field is None  # the frame needs no sampling
     height, width = target.shape[1:]
     if field is None:
         field = backend.zeros(2, height, width)
     channels = preset.coarse_channels if max(height, width) <= COARSE_PX else preset.channels
     rivalled = start is not None or max(height, width) <= preset.rivals_px
     if start is not None:
-        warps = max(warps, 2)  # a rival meets a field that was refined here
+        warps = max(warps, 2)  # a rival is compared with a field refined at this scale
     for number in range(warps):
         if number == min(1, warps - 1) and rivalled:
             slopes = half_derivatives(backend, target, preset.slope_channels)[of_order(1)]
             field = _with_rivals(level, slopes, field, start, preset, backend)
-            at_rest = False
+            is_zero = False
         x, y = level.x + field[0], level.y + field[1]
-        warped = half_derivatives(backend, target if at_rest else read(x, y), preset.channels)
+        warped = half_derivatives(backend, target if is_zero else read(x, y), preset.channels)
         constraint = tensor(backend, level.derivatives, warped, channels, tuple(target.shape))
         seen = xp.where(outside(x, y, height, width), 0.0, xp.ones_like(x))
         moved, dual = _step(level, constraint, seen, field, dual, rounds, preset, backend)
         change, field = moved - field, backend.median(moved)
-        at_rest = False
+        is_zero = False
     return field, partial(_likeness, constraint, change, seen, channels, backend)
 
 
@@ -274,9 +291,9 @@ def _step(
     preset: Preset,
     backend: Backend,
 ) -> tuple[Planes, Planes]:
-    """Move the field to where the robust constraints and the smoothness agree.
+    """Move the field to the optimum of the robust constraints and the smoothness.
 
-    A field that comes without a dual comes from a coarser scale and is smooth as it is: its first round is spared.
+    Without a dual the field comes from a coarser scale and is already smooth: the first round does not smooth it.
     """
     moved = field
     blur = bell(preset.integration_px) if preset.integration_px else None
@@ -299,16 +316,13 @@ def _step(
 def _robust(
     constraint: Tensor, seen: Planes, change: Planes | None, preset: Preset, backend: Backend
 ) -> Planes:
-    """Give the first five sums (5, h, w), weighed by how well all channels are met at a change (2, h, w) of the field.
-
-    No change stands for zero.
-    """
+    """Weight the first five sums, (5, h, w), by the channels' fit at a change (2, h, w) of the field; None is 0."""
     xp = backend.xp
     out = xp.empty_like(constraint.sums[:5])
     for rows in backend.strips(*seen.shape):
         part = Tensor(constraint.sums[:, rows])
         off = part.sums[5] if change is None else part.residual(*change[:, rows])
-        trust = abs(off)  # rounding can bring it just below 0
+        trust = abs(off)  # rounding can make it slightly negative
         trust += preset.robust_px**2
         trust = seen[rows] / xp.sqrt(trust)
         xp.multiply(trust, part.sums[:5], out=out[:, rows])
@@ -316,7 +330,7 @@ def _robust(
 
 
 def _solved(weighted: Planes, smooth: Planes, coupling: float, backend: Backend) -> Planes:
-    """Give the change (2, h, w) at which the weighted constraints and the coupling to a smooth change agree."""
+    """Solve for the change (2, h, w) from the weighted constraints and the coupling to a smooth change."""
     out = backend.xp.empty_like(smooth)
     for rows in backend.strips(*smooth.shape[1:]):
         a, b, c, right, down = weighted[:, rows]
@@ -333,23 +347,23 @@ def _solved(weighted: Planes, smooth: Planes, coupling: float, backend: Backend)
 def _likeness(
     constraint: Tensor, change: Planes, seen: Planes, channels: Channels, backend: Backend
 ) -> Planes:
-    """Say how well the channels are met, (h, w), from 0 to 1.
+    """Compute how well the channels fit, (h, w), from 0 to 1.
 
-    It is 0 where they miss by far, have nothing to meet, or the point lies outside the frame.
+    It is 0 for a large misfit, without contrast and outside the frame.
     """
     blur = bell(SURROUNDINGS_PX)
     xp = backend.xp
     strength = constraint.sums[0] + constraint.sums[1]
-    off = constraint.residual(change[0], change[1]) / channels.together
+    off = constraint.residual(change[0], change[1]) / channels.total_weight
     contrast, off = backend.filtered(xp.stack([strength, off]), blur, blur)
     return seen * contrast / (contrast + LEAST_CONTRAST) / (1 + (off / UNLIKE_PX**2) ** 2)
 
 
 def _smoothed(level: ReferenceLevel, field: Planes, preset: Preset) -> Planes:
-    """Smooth a field once, or twice with the loss of the first time given back (Tukey's twicing).
+    """Smooth a field once, or twice with the residual of the first time added back (Tukey's twicing).
 
-    With S the smoother's response to a wave, twicing answers 1 - (1 - S)^2: what is left of a slow wave is off to the
-    second order only, as if bending had been penalised instead of slope.
+    If S is the smoother's response to a wave, that of twicing is 1 - (1 - S)^2. The error of a slow wave is then of
+    second order, as if bending were penalised instead of slope.
     """
     once = level.smooth(field)
     if preset.smoothings == 1:
@@ -365,7 +379,7 @@ def _with_rivals(
     preset: Preset,
     backend: Backend,
 ) -> Planes:
-    """Let each pixel take over the start, or the motion of a pixel near by, where that looks clearly more alike."""
+    """Let each pixel take over the start, or the motion of a nearby pixel, where the pictures match clearly better."""
     blur = bell(SURROUNDINGS_PX)
     xp = backend.xp
     looks = level.appearance()
@@ -377,7 +391,7 @@ def _with_rivals(
 
     def taken_over(rival: Planes, field: Planes, least: Planes) -> tuple[Planes, Planes]:
         found = judged(rival)
-        better = found < CLEARLY * least - CLEARLY_PX
+        better = found < RIVAL_RATIO * least - RIVAL_GAIN_PX
         return xp.where(better, rival, field), xp.where(better, found, least)
 
     if start is not None:
@@ -392,7 +406,7 @@ def _with_rivals(
 
 
 def _moved_over(field: Planes, right: int, down: int, xp: Any) -> Planes:
-    """Give each pixel what the pixel `right` and `down` from it has, the edge repeated."""
+    """Shift a field so that each pixel has the value `right` and `down` from it, with the edge repeated."""
     height, width = field.shape[1:]
     rows = np.clip(np.arange(height) + down, 0, height - 1)
     columns = np.clip(np.arange(width) + right, 0, width - 1)

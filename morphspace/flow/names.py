@@ -1,9 +1,9 @@
-"""The names of the flow methods without the methods, so that help can list them before anything heavy is imported."""
+"""The names of the flow methods, so that the command line can list them without importing the methods."""
 
 from __future__ import annotations
 
 OURS: tuple[str, ...] = ("fast", "balanced", "accurate", "paper")
-"""Presets of our own estimator, the quickest first, and the scheme of Nagle's authors as reconstructed."""
+"""Presets of our estimator, the fastest first, and the reconstructed scheme of Nagle et al."""
 
 STOCK: tuple[str, ...] = ("deepflow", "dis", "tvl1")
 """Estimators from OpenCV and scikit-image, for comparison."""
@@ -12,5 +12,5 @@ NAMES = OURS + STOCK
 DEFAULT = "balanced"
 
 BACKENDS = ("opencv", "torch", "torch:cpu", "torch:cuda")
-"""What our presets but `paper` run on: OpenCV on the CPU, torch on the best device, or on one of them."""
+"""Libraries and devices of our presets except `paper`: OpenCV on the CPU, torch on the best or a named device."""
 DEFAULT_BACKEND = "opencv"

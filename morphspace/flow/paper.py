@@ -1,22 +1,25 @@
-"""The flow as the paper's authors ran it, reconstructed: the preset `paper`, a baseline for the record.
+"""The flow of Nagle et al., reconstructed: the preset `paper`, a baseline.
 
-Nagle et al. (section 2) find each face by the Multi-channel Gradient Model: grey pictures at several resolutions, the
-fields combined into one of full size. The rest is a reconstruction of their scheme: blurred pictures at 0.05, 0.1, 0.2,
-0.4 and 0.8 of the size; at each scale the model's motion between the pictures as warped so far; 50 passes of a 3 x 3
-mean weighted by |Laplacian|, so that texture fills flat regions; upsample, compose, warp again; at the end a blend with
-the field of a single scale by local error.
+Nagle et al. (section 2) register each face by the Multi-channel Gradient Model: grey pictures at several resolutions,
+whose fields are combined into one of full size. The rest is a reconstruction of their scheme. The pictures are
+blurred at 0.05, 0.1, 0.2, 0.4 and 0.8 of the size. Each scale computes the model's motion between the pictures after
+the warps so far. 50 passes of a 3 x 3 mean weighted by |Laplacian| then fill flat regions from texture. The field is
+upsampled and composed, and the frame is warped again. The result is blended with the field of a single scale by local
+error.
 
-The motion at one scale is the model's first form (Johnston, McOwan and Benton 1999) as in `mcgm`: 24 directions, Taylor
-weights, ratios of inner products over all channels, speed from determinants, direction from a vector sum. Of two
-pictures only what time has left there changes: spatial derivatives are of the mean of the two, the derivative in time
-is their difference, and there is no second one, so only terms without time remain (m = 0).
+The motion at one scale is the model's first form (Johnston, McOwan and Benton 1999) as in `mcgm`: 24 directions,
+Taylor weights, ratios of inner products over all channels, speed from determinants, direction from a vector sum. Two
+pictures are the only samples in time. Spatial derivatives are of their mean, the derivative in time is their
+difference, and there is no second derivative, so only terms without time remain (m = 0).
 
-Ours, where nothing is known of theirs: the frame is sampled back onto the reference (they warp the reference), since
-our fields live there; both pictures are scaled by their common contrast; the blur before each scale; no step longer
-than `LONGEST_STEP_PX`, because a ratio knows no bound where little changes in space; 0.8 as the single scale; the form
-of the blend; the confidence. One scale reads broadband texture that moves by 1 px 4 to 12 % slow and 12 to 15 degrees
-astray (medians), as the video form's first form does; coarse to fine and the averaging make up for most of it. A change
-of light is taken for motion.
+The following is ours, where their method is unknown. The frame is sampled onto the reference (they warp the
+reference), since our fields live there. Both pictures are scaled by their common contrast, and each is blurred before
+a scale. No step is longer than `LONGEST_STEP_PX`, because a ratio has no bound where the image varies little in
+space. The single scale is 0.8. The form of the blend and the confidence are ours too.
+
+One scale measures broadband texture that moves by 1 px 4 to 12 % slow and 12 to 15 degrees wrong (medians), as the
+first form of the video model does. The pyramid and the averaging correct most of it. A change of light appears as
+motion.
 """
 
 from __future__ import annotations
@@ -33,32 +36,42 @@ from morphspace.flow.motion import DIRECTIONS, LEAST_DETERMINANT, ORDERS, SPACE_
 from morphspace.flow.pairs import checked_pair, checked_picture, checked_start, is_featureless, unknown_flow
 from morphspace.grid import warp
 
-SCALES = (0.05, 0.1, 0.2, 0.4, 0.8)  # of the full size, coarsest first
+SCALES = (0.05, 0.1, 0.2, 0.4, 0.8)  # shares of the full size, coarsest first
 SINGLE_SCALE = 0.8
-LEAST_SIDE_PX = 12  # at a scale; coarser ones are left out. 0.8 of the smallest picture is 13 px
+LEAST_SIDE_PX = 12  # px of a scale; coarser scales are omitted. 0.8 of the smallest picture is 13 px
 DERIVATIVE_SD_PX = 1.5
-BLUR_SD_PX = 0.5  # before a scale, in its pixels
-LONGEST_STEP_PX = 2 * DERIVATIVE_SD_PX  # at its scale: the filters see no further
+BLUR_SD_PX = 0.5  # px of a scale; SD of the blur before it
+LONGEST_STEP_PX = 2 * DERIVATIVE_SD_PX  # px of a scale; the range of the filters
 PASSES = 50
-LEAST_ENERGY = 1e-6  # of a product, in squared contrasts per px; below, there is no texture, or no motion
-LEAST_LAPLACIAN = 1e-3  # of its mean: a flat region still has a mean of its own
-ERROR_SD_PX = 3.0  # over which the local error is averaged
-LEAST_ERROR = np.float32(
-    1e-5
-)  # in squared contrasts; below, two fields are equally good, and a region is flat
+LEAST_ENERGY = 1e-6  # squared contrasts per px; a smaller product is no texture, or no motion
+LEAST_LAPLACIAN = 1e-3  # share of the mean; a flat region then has equal weights
+ERROR_SD_PX = 3.0  # px, over which the local error is averaged
+LEAST_ERROR = np.float32(1e-5)  # squared contrasts; two smaller errors are equal, and a region is flat
 
 
 def method(reference: Image) -> FlowFunction:
-    """Give the function that finds frames from a reference (h, w, 3); a `FlowMethod`.
+    """Return the flow from a reference; this function is a `FlowMethod`.
 
-    The pictures need 16 px each way. A `start` is checked and ignored: the authors had none. Only grey is looked at:
-    two colours of one luma are flat. The same gain or offset of both pictures changes nothing, while half an 8-bit code
-    of contrast is left; of one alone, it does. The mean of the two and their difference depend on both, so hardly
-    anything is shared between frames. Confidence (ours) is the share of the reference's local contrast that the
-    frame, sampled there, reproduces, 0 where there is none; it cannot see that a plain edge could as well have slid
-    along itself.
+    The pictures need 16 px each way. A `start` is checked and ignored: the authors had none. Only luma is compared,
+    so two colours of equal luma are flat. A gain or offset common to both pictures changes nothing, while the
+    contrast is at least half an 8-bit code; one of a single picture does. Hardly any work is shared between frames,
+    since mean and difference depend on both pictures.
 
-    Raises `BadInput` and `SizeMismatch` as `pairs.checked_pair` does.
+    Confidence (ours) is the share of the reference's local contrast that the frame reproduces after the warp; 0
+    without contrast. It is also high where a straight edge may have moved along itself.
+
+    Parameters
+    ----------
+    reference : array (h, w, 3)
+
+    Raises
+    ------
+    BadInput, SizeMismatch
+        As `pairs.checked_pair`.
+
+    References
+    ----------
+    Nagle et al., section 2; Johnston, McOwan and Benton, 1999.
     """
     first = checked_picture(reference, "the reference")
 
@@ -79,7 +92,7 @@ def method(reference: Image) -> FlowFunction:
 
 
 def _blended(grey: AnyArray, other: AnyArray, field: Displacement, single: Displacement) -> Flow:
-    """Mix two fields, each by the other's share of the local error, and say how far the result explains the picture."""
+    """Average two fields, each weighted by the other's share of the local error; add the confidence."""
     error, error_single = (_local_error(grey, other, each) for each in (field, single))
     share = ((error_single + LEAST_ERROR) / (error + error_single + 2 * LEAST_ERROR))[..., None]
     mixed: AnyArray = share * field + (1 - share) * single
@@ -99,7 +112,7 @@ def _averaged(values: AnyArray) -> AnyArray:
 
 
 def _descent(grey: AnyArray, other: AnyArray, scales: list[float]) -> Displacement:
-    """Give the field (h, w, 2) px of two pictures (h, w), scale by scale from no motion at all."""
+    """Compute the field (h, w, 2) px of two pictures (h, w), scale by scale from zero."""
     height, width = grey.shape
     field: Displacement = np.zeros((height, width, 2), np.float32)
     for scale in scales:
@@ -120,10 +133,10 @@ def _scaled(picture: AnyArray, scale: float) -> AnyArray:
 
 
 def _filled(step: Displacement, picture: AnyArray) -> Displacement:
-    """Average a field (h, w, 2) again and again, each pixel by the texture of `picture` there."""
+    """Average a field (h, w, 2) `PASSES` times, each pixel weighted by the texture of `picture`."""
     bends = filters.derivatives(picture, ((2, 0), (0, 2)), 1.0)
     weight = np.abs(bends[0] + bends[1])
-    weight += LEAST_LAPLACIAN * weight.mean() + np.float32(1e-12)  # all flat: equal weights
+    weight += LEAST_LAPLACIAN * weight.mean() + np.float32(1e-12)  # a flat picture: equal weights
     total = cv2.blur(weight, (3, 3), borderType=filters.BORDER)[..., None]
     for _ in range(PASSES):
         step = cv2.blur(step * weight[..., None], (3, 3), borderType=filters.BORDER) / total
@@ -131,7 +144,7 @@ def _filled(step: Displacement, picture: AnyArray) -> Displacement:
 
 
 def _velocity(one: AnyArray, two: AnyArray) -> Displacement:
-    """Give the model's velocity (h, w, 2) px, float32, from one picture (h, w) to the other: its steps 3 to 6."""
+    """Compute the model's velocity (h, w, 2) px, float32, from one picture (h, w) to the other: its steps 3 to 6."""
     space = filters.derivatives((one + two) / 2, ORDERS, DERIVATIVE_SD_PX).reshape(len(ORDERS), -1)
     time = filters.derivatives(two - one, ORDERS, DERIVATIVE_SD_PX).reshape(len(ORDERS), -1)
     speeds = np.zeros((2, 2, one.size))  # s_along (c, s); s_across (c, s), summed over the directions
@@ -157,15 +170,15 @@ def _velocity(one: AnyArray, two: AnyArray) -> Displacement:
         pointer += along * turn[:, None] + across * np.array([-turn[1], turn[0]])[:, None]
     squared = _quotient(-_determinant(speeds), _determinant(inverses), LEAST_DETERMINANT)
     length = np.minimum(np.sqrt(np.maximum(squared, 0)), LONGEST_STEP_PX)
-    velocity = -pointer * _quotient(length, np.hypot(*pointer), 0.0)  # the ratios point against the motion
+    velocity = -pointer * _quotient(length, np.hypot(*pointer), 0.0)  # the ratios have the opposite sign
     return np.ascontiguousarray(velocity.T.reshape(*one.shape, 2), np.float32)
 
 
 @lru_cache(maxsize=1)
 def _steering() -> tuple[AnyArray, AnyArray]:
-    """Give the directions (12,) and what makes X, Y and T of the `ORDERS` in each, (12, 3, 9, 21) float32.
+    """Compute the directions (12,) and the maps from the `ORDERS` to X, Y and T in each, (12, 3, 9, 21) float32.
 
-    The other 12 of the model's 24 change the sign of both sides only.
+    The other 12 of the model's 24 directions only change the sign of both sides.
     """
     polynomial = np.polynomial.polynomial
     angles = np.arange(DIRECTIONS) * (np.pi / DIRECTIONS)
@@ -188,7 +201,7 @@ def _determinant(matrix: AnyArray) -> AnyArray:
 
 
 def _quotient(numerator: AnyArray, denominator: AnyArray, least: float) -> AnyArray:
-    """Divide, and give 0 where the denominator is not above `least`."""
+    """Divide; the result is 0 where the denominator is not above `least`."""
     enough = denominator > least
     quotient: AnyArray = np.where(enough, numerator, 0) / np.where(enough, denominator, 1)
     return quotient

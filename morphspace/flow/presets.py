@@ -1,8 +1,7 @@
-"""How much work the registration form spends, and on what: the presets `fast`, `balanced` and `accurate`.
+"""The presets `fast`, `balanced` and `accurate` of the registration flow.
 
-What each choice is worth was measured on photographs warped by known fields, on Middlebury scenes and on real
-expressions; the photographs and clips are not those of the reported figures
-(benchmarks/results/flow-ablation.md).
+Each choice was measured on photographs warped by known fields, on Middlebury scenes and on real expressions. The
+photographs and clips are not those of the reported figures (benchmarks/results/flow-ablation.md).
 """
 
 from __future__ import annotations
@@ -16,18 +15,44 @@ from morphspace.flow.constraints import Channels
 
 @dataclass(frozen=True, eq=False)
 class Preset:
-    """Everything that can be chosen about the estimator.
+    """All settings of the estimator in `multiscale`.
 
-    `colours`: the planes that are compared. `finest`: the last scale, as a share of the full size (of a small picture
-    more: `multiscale.FINEST_PX`), and `factor` between scales. `warps` a scale, finest first: the last number for the
-    coarsest, the one before it for all between. `channels`: the derivatives, and `coarse_light`, the weight of order 0
-    at coarse scales. `robust_px`: residuals above it count less and less. `integration_px`: sd over which constraints
-    are pooled. `coupling` of the pixelwise solution to the smooth field, `strength` and `edge_codes` of the smoother
-    (`Backend.smoother`), `smoothings` 1 (slope costs) or 2 (bending costs), and `recursive_px`, the longer side up to
-    which it is `Backend.recursive_smoother`. `rounds` a warp of robust weights, solution
-    and smoothing, by scale, finest first, the last number for all coarser ones. `rivals_px`: the longer side up to
-    which the motions of pixels near by are tried, `rival_step_px` how far off. `checked_px`: the longer side at which
-    the way back is compared (0: not at all).
+    Attributes
+    ----------
+    colours : {"grey", "rgb"}
+        The planes that are compared.
+    finest : float
+        The last scale as a share of the full size; larger for a small picture (`pyramid.FINEST_PX`).
+    factor : float
+        Ratio of one scale to the next finer one.
+    warps : tuple of int
+        Warps at each scale, finest first. The last number holds for the coarsest scale, the one before it for all
+        between.
+    channels : Channels
+        The derivatives that are compared.
+    coarse_light : float
+        Weight of order 0 at coarse scales.
+    robust_px : float
+        Residual above which a constraint's weight falls.
+    integration_px : float
+        SD of the Gaussian over which constraints are pooled.
+    coupling : float
+        Weight of the smooth field in the pixelwise solution.
+    strength, edge_codes : float
+        Of the smoother (`Backend.smoother`).
+    smoothings : {1, 2}
+        1 penalises slope, 2 bending.
+    recursive_px : int
+        Longer side up to which the smoother is `Backend.recursive_smoother`.
+    rounds : tuple of int
+        Rounds of robust weights, solution and smoothing in a warp, by scale, finest first; the last holds for all
+        coarser ones.
+    rivals_px : int
+        Longer side up to which the motions of nearby pixels are tried.
+    rival_step_px : int
+        Distance of those pixels.
+    checked_px : int
+        Longer side at which the field is compared with the backward flow; 0 for no comparison.
     """
 
     colours: Literal["grey", "rgb"]
@@ -50,12 +75,12 @@ class Preset:
 
     @cached_property
     def coarse_channels(self) -> Channels:
-        """The channels at coarse scales: order 0 weighs `coarse_light`."""
+        """The channels at coarse scales, where order 0 has the weight `coarse_light`."""
         return replace(self.channels, weights=(self.coarse_light, *self.channels.weights[1:]))
 
     @cached_property
     def slope_channels(self) -> Channels:
-        """The channels that first derivatives alone need."""
+        """The channels that compute first derivatives only."""
         return replace(self.channels, weights=(1.0,))
 
 
@@ -97,4 +122,4 @@ FAST = replace(
     checked_px=0,
 )
 PRESETS = {"fast": FAST, "balanced": BALANCED, "accurate": ACCURATE}
-"""By name, the quickest first."""
+"""By name, the fastest first."""

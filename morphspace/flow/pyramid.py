@@ -1,7 +1,7 @@
-"""Pictures at every scale, as the registration form takes them apart: planes in codes, a pyramid, and one shift.
+"""Pictures at every scale, as the registration flow needs them: planes in codes, a pyramid, and one global shift.
 
-They are OpenCV's with every backend: smoothers round their guides to whole codes, and what two backends give a little
-differently would now and then be rounded to different ones.
+All backends use OpenCV here. Smoothers round their guides to whole codes, so a small difference between two libraries
+would change some codes.
 """
 
 from __future__ import annotations
@@ -17,36 +17,32 @@ from morphspace.flow.baselines import LUMA
 from morphspace.flow.filters import bell
 from morphspace.flow.presets import Preset
 
-CODES = 255.0  # the estimator thinks in 8-bit codes
-LEAST_CONTRAST_CODES = (
-    0.5  # between the darkest and the brightest value of a plane; below it there is nothing to find
-)
-FINEST_PX = 72  # the shorter side below which the last scale is not scaled down
-LEAST_SIDE_PX = 16  # of the coarsest scale
-LEAST_BLUR_PX = 0.3  # before scaling down
-SHIFTED = (
-    0.3  # squared difference over the sum of squares, at the coarsest scale, from which a shift is sought
-)
-CLOSER = 0.5  # and the share of one less the correlation that it has to leave
+CODES = 255.0  # the estimator's values are 8-bit codes
+LEAST_CONTRAST_CODES = 0.5  # codes, range of a plane; below it no motion can be found
+FINEST_PX = 72  # px, shorter side of the smallest last scale
+LEAST_SIDE_PX = 16  # px, shorter side of the coarsest scale
+LEAST_BLUR_PX = 0.3  # px, SD before shrinking
+SHIFT_MISFIT = 0.3  # squared difference over sum of squares at the coarsest scale that prompts a search
+SHIFT_GAIN = 0.5  # largest ratio of 1 - correlation with the shift to that without it
 
 
 def colour_planes(image: Image, preset: Preset) -> AnyArray:
-    """Give the planes the preset compares, in codes."""
+    """Return the planes (c, h, w) that the preset compares of an image (h, w, 3), in codes."""
     mixing = LUMA[None] if preset.colours == "grey" else np.eye(3, dtype=np.float32)
     mixed = cv2.transform(image, mixing * np.float32(CODES))
     return np.ascontiguousarray(mixed[None] if mixed.ndim == 2 else mixed.transpose(2, 0, 1))
 
 
 def is_flat(planes: AnyArray) -> bool:
-    """Tell whether no plane varies by half a code: nothing can be found in such a picture."""
+    """Return whether every plane varies by less than half a code, so that no motion can be found."""
     return all(float(plane.max() - plane.min()) < LEAST_CONTRAST_CODES for plane in planes)
 
 
 def pyramid(planes: AnyArray, preset: Preset) -> tuple[list[AnyArray], AnyArray]:
-    """Give the picture at every scale, finest first, less a middle value of each plane; and that, (c, 1, 1).
+    """Return the picture at every scale, finest first, minus a centre of each plane, and the centres (c, 1, 1).
 
-    No channel needs it, and derivatives of smaller numbers are rounded less. It is the median of every fourth pixel
-    each way.
+    The centre is the median of every fourth pixel each way. No channel needs it, and smaller numbers lose less to
+    rounding.
     """
     backend = OpenCVBackend()
     height, width = planes.shape[1:]
@@ -69,13 +65,18 @@ def _shrunk(planes: AnyArray, factor: float, height: int, width: int, backend: O
 
 
 def shift_between(reference: AnyArray, frame: AnyArray) -> AnyArray | None:
-    """Give the field (2, h, w) of one shift between two small pictures (c, h, w), where only that makes them alike.
+    """Find a global shift between two small pictures (c, h, w), if they are similar only after it.
 
-    The flow finds motions of a few pixels of its coarsest scale. Where a camera moved further, nothing is alike as the
-    pictures lie; the middle of the reference is then looked up in the whole frame by normalised correlation.
+    The flow finds motions of a few pixels of its coarsest scale. If the camera moved further, the pictures differ
+    everywhere. The centre of the reference is then searched in the whole frame by normalised correlation.
+
+    Returns
+    -------
+    array (2, h, w) float32 or None
+        The constant field in px; None if the pictures are similar without it or no shift helps.
     """
     unlike = float(((reference - frame) ** 2).sum())
-    if unlike < SHIFTED * float((reference**2).sum() + (frame**2).sum()):
+    if unlike < SHIFT_MISFIT * float((reference**2).sum() + (frame**2).sum()):
         return None
     _, height, width = reference.shape
     top, left = height // 4, width // 4
@@ -84,7 +85,7 @@ def shift_between(reference: AnyArray, frame: AnyArray) -> AnyArray | None:
         cv2.merge(tuple(frame)), cv2.merge(tuple(np.ascontiguousarray(middle))), cv2.TM_CCOEFF_NORMED
     )
     _, most, _, (across, down) = cv2.minMaxLoc(likeness)
-    if 1 - most > CLOSER * (1 - float(likeness[top, left])):
+    if 1 - most > SHIFT_GAIN * (1 - float(likeness[top, left])):
         return None
     out = np.empty((2, height, width), np.float32)
     out[0], out[1] = across - left, down - top

@@ -1,10 +1,9 @@
-"""Which starting field served a flow best: the choice among candidates by photometric error under a fold limit (ours).
+"""Choice of the starting field of a flow by photometric error under a fold limit (ours).
 
-A coarse-to-fine search loses a mouth that opens by more than the coarsest level bridges. In a clip the frame before or
-after often shows the same movement half done, and its field is a better start. Between two people no field is half
-done, but landmarks say what belongs to what. Neither is always better (a head that turns carries the errors along), so
-each frame is judged by itself: the field from another start is kept only where it explains the picture clearly better
-and does not buy that by folding.
+A coarse-to-fine search loses a mouth that opens by more than the coarsest level can bridge. In a clip a neighbouring
+frame often shows the same movement half done, and its field is a better start. Between two people landmarks give a
+start. A start may also be worse: if the head turns, it carries errors along. Each frame is therefore judged by
+itself: a field from another start is used only if it explains the picture clearly better and does not fold more.
 """
 
 from __future__ import annotations
@@ -25,32 +24,51 @@ from morphspace.flow.pairs import is_featureless, unknown_flow
 from morphspace.grid import warp
 
 StartKind = Literal["auto", "none"]
-"""`auto`: hard frames are tried again from a neighbour's field; `none`: coarse to fine alone."""
+"""`auto`: difficult frames are tried again from a neighbour's field; `none`: coarse to fine alone."""
 
-WITHOUT_START = ("paper", "deepflow", "tvl1")  # these have no use for a start: nothing to try again
-FOLD_LIMIT = (
-    0.003  # of the cells inside the mask; what a flow between real expressions may fold (goals, flow.md C)
-)
-CLEARLY = 0.98  # times the error of the standing field; a smaller gain is noise, and folding could buy it
-HARD = 1.25  # times the clip's median error; trying all frames took 3 times the flows for 0.5 % less error
-SPLINE_STEP_PX = 4  # between the points at which a landmark spline is evaluated where it is smooth
-SPLINE_NEAR_PX = 8  # each way from a landmark it bends too sharply for that, and is evaluated at every pixel
-SPLINE_MARGIN = 8  # such points beyond each edge: there the interpolation's end effects die away
-ONE_LANDMARK_PX = 1.0  # landmarks in one cell of this size are one: closed lips are marked twice at a place
-LEAST_LANDMARK_SPREAD_PX = 1.0  # root mean square across their best line; below it they lie on the line
-INVERSION_STEPS = 8  # of the fixed point that turns a start round; an estimator mends what they leave
+WITHOUT_START = ("paper", "deepflow", "tvl1")  # methods that ignore a start
+FOLD_LIMIT = 0.003  # share of the cells inside the mask that may fold (goals, flow.md C)
+CLEARLY = 0.98  # ratio to the error of the first field; a smaller gain is noise, and folds could cause it
+HARD = 1.25  # ratio to the clip's median error; trying all frames took 3 times the flows for 0.5 % less error
+SPLINE_STEP_PX = 4  # px between the points at which a smooth part of a landmark spline is evaluated
+SPLINE_NEAR_PX = 8  # px each way from a landmark; the spline bends sharply there: evaluated at every pixel
+SPLINE_MARGIN = 8  # evaluated points beyond each edge, over which the end effects of the interpolation decay
+ONE_LANDMARK_PX = 1.0  # px a side of a cell whose landmarks are merged: closed lips have two at a place
+LEAST_LANDMARK_SPREAD_PX = 1.0  # px, RMS distance from the best line; below it the landmarks lie on it
+INVERSION_STEPS = 8  # fixed-point steps of an inverted start; the estimator corrects the rest
 
 
 def check_start(start: str) -> None:
-    """Raise `BadInput` for a start that is not a `StartKind`."""
+    """Check that a start is a `StartKind`; raise `BadInput` otherwise."""
     if start not in get_args(StartKind):
-        raise BadInput(f"there is no start called {start!r}: choose one of {', '.join(get_args(StartKind))}")
+        raise BadInput(
+            f"the start is {start!r}; expected one of {', '.join(get_args(StartKind))}. Choose one of these"
+        )
 
 
 def photometric_error(reference: Image, frame: Image, field: Displacement, mask: Mask) -> float:
-    """Give how far the frame (h, w, 3), brought to the reference by the field (h, w, 2), misses it.
+    """Compute the root mean square difference between a warped frame and the reference.
 
-    The root mean square over the colours, 0 to 1, inside the mask (h, w) on the reference.
+    Parameters
+    ----------
+    reference, frame : array (h, w, 3)
+    field : array (h, w, 2), px
+        Where each point of the reference lies in the frame.
+    mask : array (h, w)
+        Weights on the reference.
+
+    Returns
+    -------
+    float
+        Over the colours, inside the mask; 0 to 1.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> black, grey = np.zeros((20, 20, 3), np.float32), np.full((20, 20, 3), 0.5, np.float32)
+    >>> still, mask = np.zeros((20, 20, 2), np.float32), np.ones((20, 20), np.float32)
+    >>> round(photometric_error(black, grey, still, mask), 3)
+    0.5
     """
     difference = warp.sample(frame, field) - reference
     square = (difference * difference).mean(axis=2)
@@ -58,11 +76,11 @@ def photometric_error(reference: Image, frame: Image, field: Displacement, mask:
 
 
 def better(reference: Image, frame: Image, candidates: Sequence[Flow], mask: Mask) -> Flow:
-    """Give the candidate with the least photometric error under the fold limit; the first is the one that stands.
+    """Return the flow with the least photometric error under the fold limit; the first candidate is the default.
 
-    Another takes its place only where it folds within `FOLD_LIMIT` inside the mask, or no more than the first where
-    that folds more, and its error is below `CLEARLY` times the first's. Where the first folds beyond the limit and the
-    other keeps it, an error no larger is enough.
+    Another candidate replaces it only if it folds within `FOLD_LIMIT` inside the mask (or no more than the first, if
+    that folds more) and its error is below `CLEARLY` times the first's. If the first exceeds the limit and the other
+    does not, an equal error is enough.
     """
     first = candidates[0]
     standing = photometric_error(reference, frame, first.displacement, mask)
@@ -86,10 +104,17 @@ def best_start(
     starts: Mapping[str, Displacement | None],
     mask: Mask | None = None,
 ) -> tuple[str, Flow]:
-    """Find the frame (h, w, 3) from every start (None: coarse to fine alone); give the best and the name of its start.
+    """Estimate the flow from every start and return the name of the best start and its flow.
 
-    The first of `starts` stands, and `better` says when another takes its place; without a mask all of the reference
-    counts.
+    Parameters
+    ----------
+    to_frame : FlowFunction
+        The flow from the reference.
+    reference, frame : array (h, w, 3)
+    starts : mapping of name to field (h, w, 2) px or None
+        None is the coarse-to-fine search alone. The first start is the default; `better` decides.
+    mask : array (h, w), optional
+        Weights on the reference; all ones by default.
     """
     flows = {name: to_frame(frame, start) for name, start in starts.items()}
     inside = np.ones(reference.shape[:2], np.float32) if mask is None else mask
@@ -98,16 +123,39 @@ def best_start(
 
 
 def landmark_spline(reference_points: Points, frame_points: Points, height: int, width: int) -> Displacement:
-    """Give the thin-plate spline through landmarks, a field (height, width, 2) px: the one that bends least.
+    """Compute the thin-plate spline through landmarks: the interpolating field of least bending.
 
-    Row i of both (m, 2) marks the same point, in the reference and in the frame. The field takes each landmark to its
-    fellow, to a tenth of a px where landmarks stand some px apart; landmarks at one place of the reference
-    (`ONE_LANDMARK_PX`) go to the mean of theirs. Between landmarks that come together or change sides it may fold.
-    Outside them it goes on nearly as an affine map, so far away from all landmarks displacements grow with the
-    distance. Raises `BadInput` for counts that differ, values that are not finite, fewer than 3 places, and landmarks
-    on one line.
+    The field maps each landmark to its counterpart, to a tenth of a px if landmarks are some px apart. Landmarks at
+    one place of the reference (`ONE_LANDMARK_PX`) map to the mean of their counterparts. Between landmarks that
+    converge or cross, the field may fold. Outside the landmarks it is nearly affine, so displacements grow with the
+    distance.
 
-    Bookstein, IEEE PAMI 11 (1989).
+    Parameters
+    ----------
+    reference_points, frame_points : array (m, 2), px
+        Row i of both is the same point.
+    height, width : int
+        Size of the field, px.
+
+    Returns
+    -------
+    array (height, width, 2) float32, px
+
+    Raises
+    ------
+    BadInput
+        If the counts differ, a value is not finite, the landmarks have fewer than 3 places or lie on one line.
+
+    References
+    ----------
+    Bookstein, Principal warps, IEEE PAMI 11, 1989.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> points = np.array([[5.0, 5], [25, 5], [5, 25], [25, 25]])
+    >>> landmark_spline(points, points + (3, 1), 32, 32)[16, 16].round(3).tolist()
+    [3.0, 1.0]
     """
     from scipy.interpolate import RBFInterpolator  # slow to import, and only landmarks need it
 
@@ -133,7 +181,7 @@ def landmark_spline(reference_points: Points, frame_points: Points, height: int,
 
 
 def _near(places: Points, height: int, width: int) -> AnyArray:
-    """Tell which pixels (h, w) lie within `SPLINE_NEAR_PX` of a place, which may be outside."""
+    """Return which pixels (height, width) lie within `SPLINE_NEAR_PX` of a place; places may lie outside."""
     far = SPLINE_NEAR_PX
     within = ((places > -far) & (places < np.array([width, height]) + far - 1)).all(axis=1)
     columns, rows = np.round(places[within]).astype(int).T
@@ -148,19 +196,22 @@ def _checked_landmarks(reference_points: Points, frame_points: Points) -> tuple[
     for points, name in zip(pair, ("reference", "frame"), strict=True):
         if points.ndim != 2 or points.shape[1] != 2:
             raise BadInput(
-                f"the landmarks of the {name} have the shape {points.shape}: give (m, 2), x and y of each"
+                f"the landmarks of the {name} have the shape {points.shape}; expected (m, 2), x and y of each. Use that"
             )
         if not np.isfinite(points).all():
-            raise BadInput(f"the landmarks of the {name} hold values that are not finite: mark them again")
+            raise BadInput(
+                f"the landmarks of the {name} are not finite; expected positions in px. Mark them again"
+            )
     if len(pair[0]) != len(pair[1]):
         raise BadInput(
-            f"the reference has {len(pair[0])} landmarks, the frame {len(pair[1])}: mark the same points in both"
+            f"the frame has {len(pair[1])} landmarks; expected {len(pair[0])}, as in the reference. "
+            "Mark the same points in both"
         )
     return pair[0], pair[1]
 
 
 def _one_each(places: Points, moves: Points) -> tuple[Points, Points]:
-    """Give every place once, with the mean of its moves: a spline cannot do two things at one place."""
+    """Merge landmarks at one place, with the mean of their moves: a spline has one value at a place."""
     cells = np.round(places / ONE_LANDMARK_PX)
     _, cell, count = np.unique(cells, axis=0, return_inverse=True, return_counts=True)
     mean = np.zeros((len(count), 4))
@@ -170,33 +221,54 @@ def _one_each(places: Points, moves: Points) -> tuple[Points, Points]:
 
 
 def check_spread(points: Points, name: str) -> None:
-    """Raise `BadInput`, calling their picture or file `name`, where points (m, 2) px are too few or on one line."""
+    """Check that points (m, 2) px have at least 3 places and do not lie on one line; `name` is their picture or file.
+
+    Raises `BadInput`.
+    """
     places = len(np.unique(points, axis=0))
     if places < 3:
-        raise BadInput(f"the landmarks of {name} are at {places} places: a spline needs at least 3")
+        raise BadInput(
+            f"the landmarks of {name} are at {places} places; expected at least 3. Mark more points"
+        )
     spread_px = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)[1] / np.sqrt(len(points))
     if spread_px < LEAST_LANDMARK_SPREAD_PX:
         raise BadInput(
-            f"the {len(points)} landmarks of {name} lie on one line, to {spread_px:.2g} px: mark a point beside it"
+            f"the {len(points)} landmarks of {name} lie on one line, to {spread_px:.2g} px; expected a spread of at "
+            f"least {LEAST_LANDMARK_SPREAD_PX:.2g} px. Mark a point beside the line"
         )
 
 
 def hard_frames(errors: AnyArray, folds: AnyArray) -> AnyArray:
-    """Give the indices of the frames worth another try: errors (n,) far above the median, or folds beyond the limit."""
+    """Return the frames to try again: errors (n,) far above the median, or fold shares (n,) over the limit.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> hard_frames(np.array([1.0, 1.0, 2.0, 1.0]), np.array([0.0, 0.01, 0.0, 0.0])).tolist()
+    [1, 2]
+    """
     return np.flatnonzero((errors > HARD * np.median(errors)) | (folds > FOLD_LIMIT))
 
 
 def easier_neighbour(errors: AnyArray, index: int) -> int:
-    """Give the neighbour in time of frame `index`, of errors (n,) with n >= 2, that has the smaller error."""
+    """Return which of the frames before and after frame `index` has the smaller error, of errors (n,) with n >= 2."""
     near = [other for other in (index - 1, index + 1) if 0 <= other < len(errors)]
     return min(near, key=lambda other: float(errors[other]))
 
 
 @dataclass(frozen=True, eq=False)
 class Pair:
-    """The two pictures of a request, (h, w, 3) each, what there is to start from, and notes on them.
+    """The two pictures of a request and their starts.
 
-    `start` is a field on A's grid, `landmarks` are the same points in both, (m, 2) px each; None where not given.
+    Attributes
+    ----------
+    reference, frame : array (h, w, 3)
+    start : array (h, w, 2), px, optional
+        A field on the reference's grid.
+    landmarks : two arrays (m, 2), px, optional
+        The same points in both pictures.
+    notes : tuple of str
+        Remarks for the user.
     """
 
     reference: Image
@@ -205,25 +277,29 @@ class Pair:
     landmarks: tuple[Points, Points] | None = None
     notes: tuple[str, ...] = ()
 
-    def turned(self) -> Pair:
-        """Give the pair for the way back, from B to A."""
-        start = None if self.start is None else turned_round(self.start)
+    def reversed(self) -> Pair:
+        """Return the pair for the backward flow, from frame to reference."""
+        start = None if self.start is None else approximate_inverse(self.start)
         landmarks = None if self.landmarks is None else self.landmarks[::-1]
         return Pair(self.frame, self.reference, start, landmarks)
 
 
 def as_grey(image: Image) -> Image:
-    """Give the luma of an image (h, w, 3) in all three channels."""
+    """Return the luma of an image (h, w, 3) in all three channels."""
     return np.repeat((image @ LUMA)[..., None], 3, axis=2)
 
 
 def flow_between(
     method: FlowMethod, reference: Image, frame: Image, start: Displacement | None = None
 ) -> Flow:
-    """Give the flow between two checked pictures; zero with zero confidence where one of them shows nothing.
+    """Estimate the flow between two checked pictures (h, w, 3); zero flow if one of them is of one colour.
 
-    Raises `BadInput` where OpenCV's estimators cannot work on pictures of this size, and `MorphspaceError` where a
-    method gives values that are not finite, which is a fault of ours.
+    Raises
+    ------
+    BadInput
+        If OpenCV's estimators cannot use pictures of this size.
+    MorphspaceError
+        If a method returns values that are not finite, a fault of morphspace.
     """
     height, width = reference.shape[:2]
     if is_featureless(reference) or is_featureless(frame):
@@ -232,17 +308,21 @@ def flow_between(
         flow = method(reference)(frame, start)
     except cv2.error as error:
         raise BadInput(
-            f"this preset cannot work on pictures of {width}x{height} px ({error.err}): choose another"
+            f"the flow failed on pictures of {width}x{height} px ({error.err}). Choose another preset"
         ) from error
     if not (np.isfinite(flow.displacement).all() and np.isfinite(flow.confidence).all()):
         raise MorphspaceError(
-            "the flow holds values that are not finite: try another preset, and report the pictures"
+            "the flow holds values that are not finite, a fault of morphspace. Report the pictures and choose "
+            "another preset"
         )
     return flow
 
 
 def flow_from_best(method: FlowMethod, pair: Pair) -> tuple[str, Flow]:
-    """Give the flow of a pair from the best start there is, and which that was: none, start or landmarks."""
+    """Estimate the flow of a pair from its best start; return the start's name (none, start or landmarks) and the flow.
+
+    Raises `BadInput` if the landmark spline moves a point by more than the picture's height plus width.
+    """
     starts = {"none" if pair.start is None else "start": pair.start}
     if pair.landmarks is not None:
         height, width = pair.reference.shape[:2]
@@ -250,8 +330,8 @@ def flow_from_best(method: FlowMethod, pair: Pair) -> tuple[str, Flow]:
         furthest_px = float(np.abs(spline).max())
         if furthest_px > height + width:
             raise BadInput(
-                f"the landmarks move a point of a picture of {width}x{height} px by {furthest_px:.3g} px: mark the "
-                "same points in both, in one order"
+                f"the landmarks move a point by {furthest_px:.3g} px; expected at most {height + width} px in a "
+                f"picture of {width}x{height} px. Mark the same points in both, in the same order"
             )
         starts["landmarks"] = spline
     to_frame = method(pair.reference)
@@ -260,10 +340,11 @@ def flow_from_best(method: FlowMethod, pair: Pair) -> tuple[str, Flow]:
     )
 
 
-def turned_round(displacement: Displacement) -> Displacement:
-    """Give about the inverse of a field (h, w, 2) by the fixed point v(q) = -u(q + v(q)): a start, not a result.
+def approximate_inverse(displacement: Displacement) -> Displacement:
+    """Invert a field (h, w, 2) px approximately, by the fixed point v(q) = -u(q + v(q)); for use as a start.
 
-    Cheap, and finite where the field folds; `warp.invert` is exact, but a wild field would cost it all memory.
+    It is fast and stays finite where the field folds. `warp.invert` is exact, but a wild field would need too much
+    memory.
     """
     back = np.zeros_like(displacement)
     for _ in range(INVERSION_STEPS):

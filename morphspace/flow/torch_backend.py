@@ -1,9 +1,9 @@
-"""The primitives of the registration form on torch, for a GPU (and, to check that one, for the CPU).
+"""The primitives of the registration flow on torch, for a GPU; on the CPU for tests.
 
-Each primitive gives what OpenCV's gives, up to float32 rounding (tests/test_flow_backends.py says how close). They are
-made of shifted slices, gathers and elementwise arithmetic alone: no convolution and no matrix product, which would
-round to TF32 unless a flag of the whole process forbade it; no reduction over many terms and no scatter, whose order a
-GPU leaves open, so the same input gives the same bytes. No tensor here asks for a gradient, so none is recorded.
+Each primitive equals OpenCV's up to float32 rounding (tests/flow/test_flow_backends.py has the tolerances). They use
+shifted slices, gathers and elementwise arithmetic only. A convolution or matrix product would round to TF32 unless a
+flag of the whole process forbade it. A long reduction or scatter has no fixed order on a GPU; without them the same
+input gives the same bytes. No tensor requires a gradient, so torch records none.
 """
 
 from __future__ import annotations
@@ -23,30 +23,30 @@ try:
     import torch
 except ModuleNotFoundError as error:
     raise BadInput(
-        "the flow cannot run on torch, which is not installed: install morphspace[torch]"
+        "the backend is torch, which is not installed. Run pip install morphspace[torch]"
     ) from error
 
-AREA_SLIVER_PX = 1e-3  # OpenCV leaves out a pixel of which an area covers less
-SMOOTHER_ROUNDS = 3  # OpenCV's defaults: so many rounds,
-SMOOTHER_ATTENUATION = 0.25  # and each with so much of the strength before
-LEAST_COUPLING = 1e-7  # relative; below it a pixel hears nothing of the other in float32
+AREA_SLIVER_PX = 1e-3  # px; OpenCV ignores a pixel that an area covers by less
+SMOOTHER_ROUNDS = 3  # OpenCV's default
+SMOOTHER_ATTENUATION = 0.25  # OpenCV's default: strength of a round relative to that before
+LEAST_COUPLING = 1e-7  # relative; below it a pixel has no effect on the other in float32
 
 DOWN, ACROSS = -2, -1
 """The axes of planes (c, h, w)."""
 
 
 class TorchBackend:
-    """The primitives on torch tensors of one device; see `Backend` for what each gives."""
+    """The primitives on torch tensors of one device; `Backend` describes each."""
 
     xp: ModuleType = torch
 
     def __init__(self, device: str) -> None:
-        """Take a device as torch names it: "cpu", "cuda" or "cuda:1". Raises `BadInput` where there is none."""
+        """Select a device by torch's name: "cpu", "cuda" or "cuda:1". Raises `BadInput` if it does not exist."""
         self.device = _checked_device(device)
         self._tables: dict[tuple[str, int, int], tuple[Planes, Planes]] = {}
 
     def strips(self, height: int, width: int) -> Iterable[slice]:
-        return (slice(0, height),)  # the whole picture: a launch costs more than the memory
+        return (slice(0, height),)  # the whole picture: launching more kernels would take longer
 
     def planes(self, array: AnyArray) -> Planes:
         return torch.tensor(np.ascontiguousarray(array), dtype=torch.float32, device=self.device)
@@ -67,7 +67,7 @@ class TorchBackend:
     def sampler(self, planes: Planes) -> Callable[[Planes, Planes], Planes]:
         taps = np.arange(-SPLINE_TAPS, SPLINE_TAPS + 1)
         inverse = SPLINE_POLE ** np.abs(taps)
-        inverse /= inverse.sum()  # as `warp.spline_coefficients` has it
+        inverse /= inverse.sum()  # as in `warp.spline_coefficients`
         coefficients = self.filtered(planes, inverse, inverse)
         height, width = planes.shape[1:]
 
@@ -100,7 +100,7 @@ class TorchBackend:
         return self._rescaled(planes, height, width, "area")
 
     def median(self, planes: Planes) -> Planes:
-        """See `_middle_of_sorted`: columns of five sorted once serve the five windows that hold them."""
+        """Use `_middle_of_sorted`: each sorted column of five serves the five windows that contain it."""
         height, width = planes.shape[1:]
         reach = MEDIAN_PX // 2
         tall = planes.index_select(DOWN, self._table("repeat", height, reach)[0])
@@ -109,7 +109,7 @@ class TorchBackend:
         return _middle_of_sorted(_sorted_five([wide.narrow(ACROSS, k, width) for k in range(MEDIAN_PX)]))
 
     def smoother(self, guide: Planes, strength: float, edge_codes: float) -> Callable[[Planes], Planes]:
-        """See `_reduced`. What is kept for a guide are about 60 planes of its size at a strength of 10."""
+        """Prepare `_line_solver` for each axis and round; about 60 planes of the guide's size at a strength of 10."""
         codes = guide.clip(0, 255).floor()  # OpenCV takes 8-bit guides
         solvers: list[Callable[[Planes], Planes]] = []
         affinity = {axis: torch.exp(-_steps(codes, axis) / edge_codes) for axis in (ACROSS, DOWN)}
@@ -127,7 +127,7 @@ class TorchBackend:
     def recursive_smoother(
         self, guide: Planes, strength: float, edge_codes: float
     ) -> Callable[[Planes], Planes]:
-        """See `_recursion`; axis by axis, there and back."""
+        """Prepare `_recursion` for each axis, forward and backward."""
         codes = guide.clip(0, 255).floor()
         space_px, colour_codes = domain_transform(strength, edge_codes, len(codes))
         passes: list[Callable[[Planes], Planes]] = []
@@ -168,7 +168,7 @@ class TorchBackend:
 
     def _rescaled(self, planes: Planes, height: int, width: int, rule: str) -> Planes:
         if planes.shape[1:] == (height, width):
-            return planes.clone()  # what is given back may be changed in place
+            return planes.clone()  # a caller may change the result in place
         if width != planes.shape[2]:
             source, weight = self._table(rule, planes.shape[2], width)
             planes = (planes[:, :, source] * weight).sum(2)
@@ -178,7 +178,7 @@ class TorchBackend:
         return planes
 
     def _table(self, rule: str, size: int, other: int) -> tuple[Planes, Planes]:
-        """Give what `RULES[rule]` gives, on the device; made once, because each transfer makes a GPU wait."""
+        """Return the result of `RULES[rule]` on the device; cached, because each transfer makes a GPU wait."""
         key = rule, size, other
         if key not in self._tables:
             source, weight = RULES[rule](size, other)
@@ -190,7 +190,7 @@ class TorchBackend:
 
 
 def best_device() -> str:
-    """Give "cuda" where there is a GPU that torch can use, else "cpu"."""
+    """Return "cuda" if torch can use a GPU, else "cpu"."""
     return "cuda" if torch.cuda.is_available() else "cpu"
 
 
@@ -198,30 +198,30 @@ def _checked_device(name: str) -> Planes:
     try:
         device = torch.device(name)
     except RuntimeError as error:
-        raise BadInput(f"torch knows no device {name!r}: choose cpu or cuda") from error
+        raise BadInput(f"the torch device is {name!r}; expected cpu or cuda. Choose one of these") from error
     if device.type not in ("cpu", "cuda"):
-        raise BadInput(f"the flow does not run on {name!r}: choose cpu or cuda")
+        raise BadInput(f"the torch device is {name!r}; expected cpu or cuda. Choose one of these")
     if device.type == "cuda" and (device.index or 0) >= torch.cuda.device_count():
         raise BadInput(
-            f"there is no device {name!r} here, torch sees {torch.cuda.device_count()}: choose torch:cpu"
+            f"the device {name!r} does not exist; torch has {torch.cuda.device_count()} GPUs. Choose torch:cpu"
         )
     return device
 
 
 def _mirror_table(size: int, reach: int) -> tuple[AnyArray, AnyArray]:
-    """Give where each pixel of a line, `reach` longer at both ends, is read: mirrored about the outermost, for ever."""
+    """Return the source index of each pixel of a line extended by `reach` both ways by mirroring."""
     period = max(1, 2 * (size - 1))
     place = np.abs(np.arange(-reach, size + reach)) % period
     return np.minimum(place, period - place) if size > 1 else 0 * place, np.ones(1)
 
 
 def _repeat_table(size: int, reach: int) -> tuple[AnyArray, AnyArray]:
-    """Give where each pixel of a line, `reach` longer at both ends, is read: the outermost repeated."""
+    """Return the source index of each pixel of a line extended by `reach` both ways by repeating the ends."""
     return np.clip(np.arange(-reach, size + reach), 0, size - 1), np.ones(1)
 
 
 def _linear_table(old: int, new: int) -> tuple[AnyArray, AnyArray]:
-    """Give the two pixels, (2, new), that each pixel of a rescaled line is made of, and their weights."""
+    """Return the two source pixels, (2, new), of each pixel of a resized line, and their weights."""
     position = (np.arange(new) + 0.5) * (old / new) - 0.5
     whole = np.floor(position)
     f = position - whole
@@ -230,7 +230,7 @@ def _linear_table(old: int, new: int) -> tuple[AnyArray, AnyArray]:
 
 
 def _area_table(old: int, new: int) -> tuple[AnyArray, AnyArray]:
-    """Give the pixels, (k, new), that each pixel of a shrunk line covers, and how much of each."""
+    """Return the source pixels, (k, new), that each pixel of a shrunk line covers, and the share of each."""
     ratio = old / new
     most = ceil(ratio) + 1
     source = np.zeros((most, new), np.int64)
@@ -254,7 +254,7 @@ RULES = {
 
 
 def _spline_taps(position: Planes, size: int) -> tuple[list[Planes], list[Planes]]:
-    """Give the four pixels of a line under the cubic B-spline at `position` px, clamped, and their weights."""
+    """Return the four pixels of a line under the cubic B-spline at `position` px, clamped, and their weights."""
     position = position.clip(0, size - 1)
     whole = position.floor()
     f = position - whole
@@ -268,7 +268,7 @@ def _spline_taps(position: Planes, size: int) -> tuple[list[Planes], list[Planes
 
 
 def _linear_taps(position: Planes, size: int) -> tuple[tuple[Planes, Planes], Planes]:
-    """Give the two pixels of a line around `position` px, clamped, and the weight of the second."""
+    """Return the two pixels of a line around `position` px, clamped, and the weight of the second."""
     position = position.clip(0, size - 1)
     whole = position.floor()
     start = whole.long().clip(0, size - 1)
@@ -276,7 +276,7 @@ def _linear_taps(position: Planes, size: int) -> tuple[tuple[Planes, Planes], Pl
 
 
 def _sorted_five(values: Sequence[Planes]) -> list[Planes]:
-    """Sort five tensors elementwise, least first, by the shortest network of exchanges there is (nine)."""
+    """Sort five tensors elementwise in ascending order, by the shortest sorting network (nine exchanges)."""
     out = list(values)
     for i, j in ((0, 3), (1, 4), (0, 2), (1, 3), (0, 1), (2, 4), (1, 2), (3, 4), (2, 3)):
         out[i], out[j] = torch.minimum(out[i], out[j]), torch.maximum(out[i], out[j])
@@ -284,11 +284,11 @@ def _sorted_five(values: Sequence[Planes]) -> list[Planes]:
 
 
 def _middle_of_sorted(grid: Sequence[Planes]) -> Planes:
-    """Give the median of 25 values grid[j][i] that rise along both i and j.
+    """Return the median of 25 values grid[j][i] that rise along both i and j.
 
-    Three cross diagonals hold thirteen values, as many of the rest below as above. Sorted, the diagonals bound each
-    other (the k-th of four is at most the k-th of the five next to it, and so on), which leaves three candidates: the
-    largest of the first, the median of the middle one, the least of the last (ours).
+    Three cross diagonals hold thirteen values; six of the other values lie below them and six above. Once sorted, the
+    diagonals bound each other: the k-th of four is at most the k-th of the next five, and so on. Three candidates
+    remain: the largest of the first diagonal, the median of the middle one and the least of the last (ours).
     """
     before = [grid[3 - i][i] for i in range(4)]
     middle = [grid[4 - i][i] for i in range(5)]
@@ -306,23 +306,23 @@ def _median_of_three(a: Planes, b: Planes, c: Planes) -> Planes:
 
 
 def _steps(codes: Planes, axis: int) -> Planes:
-    """Give the distance between the colours of neighbours along an axis, (h, w) less one along it."""
+    """Return the distance between the colours of neighbours along an axis, (h, w) less one along it."""
     size = codes.shape[axis] - 1
     step = codes.narrow(axis, 1, size) - codes.narrow(axis, 0, size)
     return (step * step).sum(0).sqrt()
 
 
 def _line_solver(coupling: Planes, axis: int) -> Callable[[Planes], Planes]:
-    """Give the function that smooths every line along an axis: u_i + sum_j coupling_ij (u_i - u_j) = f_i.
+    """Return the function that smooths every line along an axis: u_i + sum_j coupling_ij (u_i - u_j) = f_i.
 
-    `coupling` >= 0 between neighbours, (h, w) less one along the axis. The tridiagonal systems are solved by parallel
-    cyclic reduction (Hockney and Jesshope, Parallel Computers, 1981): each equation takes in those `reach` before and
-    after it, so that it then couples to equations twice as far away, until no coupling is left. All that depends on
-    the coupling is done here. Written with the sums of the rows in place of the diagonal nothing is ever subtracted:
-    the answer is a mean with positive weights, to float32 rounding at any strength.
+    `coupling` >= 0 between neighbours is (h, w), less one along the axis. The tridiagonal systems are solved by
+    parallel cyclic reduction (Hockney and Jesshope, Parallel Computers, 1981). Each equation absorbs those `reach`
+    before and after it and then couples to equations twice as far away, until no coupling is left. Everything that
+    depends on the coupling alone is computed here. The row sums replace the diagonal, so nothing is subtracted: the
+    result is a mean with positive weights, to float32 rounding at any strength.
     """
     size = coupling.shape[axis] + 1
-    alone = torch.zeros_like(coupling.sum(axis, keepdim=True))  # the ends of a line have one neighbour
+    alone = torch.zeros_like(coupling.sum(axis, keepdim=True))  # the ends of a line have one neighbour only
     before, after = torch.cat([alone, coupling], axis), torch.cat([coupling, alone], axis)
     weight = torch.ones_like(before)
     shares: list[tuple[Planes, Planes]] = []
@@ -336,26 +336,27 @@ def _line_solver(coupling: Planes, axis: int) -> Callable[[Planes], Planes]:
             after.narrow(axis, 0, rest) / diagonal.narrow(axis, reach, rest),
         )
         shares.append(share)
-        weight = _taken_in(weight, share, axis)
+        weight = _absorbed(weight, share, axis)
         ends = torch.zeros_like(weight.narrow(axis, 0, reach))
         before = torch.cat([ends, share[0] * before.narrow(axis, 0, rest)], axis)
         after = torch.cat([share[1] * after.narrow(axis, reach, rest), ends], axis)
 
     def solve(planes: Planes) -> Planes:
         for share in shares:
-            planes = _taken_in(planes, share, axis)
+            planes = _absorbed(planes, share, axis)
         return planes / weight
 
     return solve
 
 
 def _recursion(kept: Planes, axis: int, direction: int) -> Callable[[Planes], Planes]:
-    """Give the function that runs along every line: out_i = (1 - kept_i) u_i + kept_i out_(i - 1), or from its end.
+    """Return the recursive filter of every line: out_i = (1 - kept_i) u_i + kept_i out_(i - 1), or from its end.
 
-    `kept` in [0, 1] between neighbours, (h, w) less one along the axis. After a round of doubling (Hillis and Steele,
-    CACM 29, 1986) each value holds what those up to twice as far back gave it, until nothing is kept from so far.
+    `kept` in [0, 1] between neighbours is (h, w), less one along the axis. After each round of doubling (Hillis and
+    Steele, CACM 29, 1986) a value includes those up to twice as far back, until the weight at that distance is
+    negligible.
     """
-    first = torch.zeros_like(kept.sum(axis, keepdim=True))  # the first of a line is what it is
+    first = torch.zeros_like(kept.sum(axis, keepdim=True))  # the first pixel of a line has no predecessor
     share = torch.cat([first, kept] if direction > 0 else [kept, first], axis)
     own = 1 - share
     size = share.shape[axis]
@@ -385,8 +386,8 @@ def _recursion(kept: Planes, axis: int, direction: int) -> Callable[[Planes], Pl
     return run
 
 
-def _taken_in(lines: Planes, share: tuple[Planes, Planes], axis: int) -> Planes:
-    """Add to each value its shares of the one before and the one after it, as far away as the shares are short."""
+def _absorbed(lines: Planes, share: tuple[Planes, Planes], axis: int) -> Planes:
+    """Add to each value its shares of the values before and after it; the distance is what the shares are shorter."""
     rest = share[0].shape[axis]
     reach = lines.shape[axis] - rest
     out = lines.clone()

@@ -91,7 +91,7 @@ class FoundFlows:
 
 def found_flows(method: FlowMethod, pair: Pair, *, both: bool = False) -> Steps[FoundFlows]:
     """Find the flow of a pair from the best start there is, `both` ways where asked. Return `FoundFlows`."""
-    wanted = [pair, pair.turned()] if both else [pair]
+    wanted = [pair, pair.reversed()] if both else [pair]
     flows: list[Flow] = []
     taken: list[str] = []
     for one in wanted:

@@ -348,7 +348,7 @@ def test_torch_takes_the_gpu_where_there_is_one(ours):
 
 @pytest.mark.parametrize("name", ["numpy", "", "opencv:cpu", "tensorflow", "torchcpu"])
 def test_an_unknown_backend_is_named(name):
-    with pytest.raises(BadInput, match=f"{name!r}: choose opencv, torch"):
+    with pytest.raises(BadInput, match=f"backend is {name!r}; expected opencv, torch"):
         named_backend(name)
 
 

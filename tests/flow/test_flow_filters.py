@@ -117,11 +117,11 @@ def test_up_to_lists_every_order_once():
 @pytest.mark.parametrize(
     ("order", "sd_px", "radius", "message"),
     [
-        (6, 1.0, None, "no derivative of order 6"),
-        (-1, 1.0, None, "no derivative of order -1"),
-        (1, 0.0, None, "Gaussian of 0.0 px"),
-        (1, float("nan"), None, "Gaussian of nan px"),
-        (4, 1.0, 1, "needs a radius of 2 px or more, not 1"),
+        (6, 1.0, None, "order of the derivative is 6; expected 0 to 5"),
+        (-1, 1.0, None, "order of the derivative is -1"),
+        (1, 0.0, None, "Gaussian is 0.0 px"),
+        (1, float("nan"), None, "Gaussian is nan px"),
+        (4, 1.0, 1, "radius is 1 px; expected at least 2 px"),
     ],
 )
 def test_what_cannot_be_a_kernel_is_refused(order, sd_px, radius, message):
@@ -130,7 +130,7 @@ def test_what_cannot_be_a_kernel_is_refused(order, sd_px, radius, message):
 
 
 def test_a_colour_image_is_refused():
-    with pytest.raises(BadInput, match=r"\(h, w\), not of an array \(4, 4, 3\)"):
+    with pytest.raises(BadInput, match=r"\(4, 4, 3\); expected a grey image \(h, w\)"):
         derivatives(np.zeros((4, 4, 3), np.float32), [(0, 0)], 1.0)
 
 

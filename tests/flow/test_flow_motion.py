@@ -279,11 +279,11 @@ def test_confidence_falls_to_nothing_at_the_edge():
 @pytest.mark.parametrize(
     ("shape", "message"),
     [
-        ((22, 20, 20), "22 frames, and motion needs 23"),
-        ((23, 15, 20), "20 x 15 px, and motion needs 16"),
-        ((23, 20, 15), "15 x 20 px, and motion needs 16"),
-        ((23, 20), r"not of an array \(23, 20\)"),
-        ((23, 20, 20, 3), r"not of an array \(23, 20, 20, 3\)"),
+        ((22, 20, 20), "22 frames; expected at least 23"),
+        ((23, 15, 20), "20 x 15 px; expected at least 16"),
+        ((23, 20, 15), "15 x 20 px; expected at least 16"),
+        ((23, 20), r"clip is an array \(23, 20\)"),
+        ((23, 20, 20, 3), r"clip is an array \(23, 20, 20, 3\)"),
     ],
 )
 def test_a_clip_of_the_wrong_size_is_refused(shape, message):

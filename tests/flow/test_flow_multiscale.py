@@ -324,7 +324,7 @@ def test_a_wrong_start_does_no_harm(wavy_field, name):
 def test_a_start_that_cannot_be_used_is_refused(name):
     pair = face(size=64, peak_px=3.0)
     to_frame = METHODS[name](pair.reference)
-    with pytest.raises(SizeMismatch, match=r"shape \(64, 63, 2\).*64x64 px"):
+    with pytest.raises(SizeMismatch, match=r"shape \(64, 63, 2\); expected \(64, 64, 2\).*64x64 px"):
         to_frame(pair.frame, pair.truth[:, 1:])
     for bad in (np.nan, np.inf, 1e300):
         start = pair.truth.astype(np.float64)
@@ -546,6 +546,6 @@ def test_pictures_that_cannot_be_used_are_refused_in_one_line(picture, name):
         with pytest.raises(BadInput, match=f"the frame.*{message}") as caught:
             to_frame(picture_, None)
         assert "\n" not in str(caught.value)
-    with pytest.raises(SizeMismatch, match=r"the reference has 50x40 px, the frame has 40x50"):
+    with pytest.raises(SizeMismatch, match=r"the frame has 40x50 px; expected 50x40 px"):
         to_frame(picture(50, 40), None)
     assert_array_equal(to_frame(image[..., :1], None).displacement.shape, (40, 50, 2))  # one channel is grey

@@ -128,7 +128,7 @@ def test_the_easier_neighbour_is_beside_the_frame_and_has_the_smaller_error():
 
 
 def test_an_unknown_start_is_refused_and_the_others_listed():
-    with pytest.raises(BadInput, match=r"no start called 'previous'.*auto, none"):
+    with pytest.raises(BadInput, match=r"start is 'previous'.*auto, none"):
         starts.check_start("previous")
     starts.check_start("auto")
     starts.check_start("none")
@@ -235,7 +235,7 @@ def test_landmarks_at_one_place_go_to_the_mean_of_theirs():
 @pytest.mark.parametrize(
     ("places", "fellows", "mentioned"),
     [
-        ([[1, 2], [30, 4], [9, 50]], [[1, 2], [30, 4]], "reference has 3 landmarks, the frame 2"),
+        ([[1, 2], [30, 4], [9, 50]], [[1, 2], [30, 4]], "frame has 2 landmarks; expected 3"),
         ([[1, 2], [30, 4]], [[1, 2], [30, 4]], "reference are at 2 places.* at least 3"),
         ([[1, 2], [30, 4], [1, 2.2]], [[1, 2], [30, 4], [9, 50]], "reference are at 2 places"),
         ([[1, 2], [30, 4], [9, 50]], [[1, 2], [30, 4], [1, 2]], "frame are at 2 places"),

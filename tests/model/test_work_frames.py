@@ -212,7 +212,7 @@ def test_a_flow_that_takes_no_start_is_not_tried_again(clip, calls, tmp_path, mo
 
 
 def test_an_unknown_start_is_refused_before_any_work(clip, calls, tmp_path):
-    with pytest.raises(BadInput, match="no start called 'previous'"):
+    with pytest.raises(BadInput, match="start is 'previous'"):
         built(clip, tmp_path / "work", replace(AUTO, start="previous"))
     assert not (tmp_path / "work").exists()
     assert calls == []
