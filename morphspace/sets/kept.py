@@ -17,7 +17,7 @@ from morphspace.grid import warp
 from morphspace.io.framing import FramedClip
 from morphspace.model.encode import encoded_frames, joined
 from morphspace.model.model import Loadings, MorphModel
-from morphspace.steps import Step, Steps
+from morphspace.steps import Step, Steps, in_order
 from morphspace.storage import digest_of_file
 
 CLIPS_KEPT = 8
@@ -64,3 +64,14 @@ def encoded_clip(model: MorphModel, source: FramedClip) -> Steps[Encoded]:
             _ENCODED.popitem(last=False)
     _ENCODED.move_to_end(key)
     return _ENCODED[key]
+
+
+def aligned_clip(model: MorphModel, source: FramedClip) -> Steps[AnyArray]:
+    """Give where the faces are in their frames, (n, 2, 3), without reading their expressions."""
+    registrations: list[AnyArray] = []
+    indices = list(range(len(source.names)))
+    items = zip(source.names, source.images(indices), strict=True)
+    for frame in in_order(lambda item: model.align(item[1], item[0]), items):
+        registrations.append(warp.chain_affine(source.to_source, frame.registration))
+        yield Step("align", len(registrations), len(indices))
+    return np.stack(registrations)

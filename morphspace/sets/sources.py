@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from morphspace.arrays import LoadingTable
+from morphspace.avatar.build import told_together
 from morphspace.errors import BadInput
 from morphspace.io.clips import Clip
+from morphspace.io.framing import FramedClip
 from morphspace.io.tables import read_loadings_table
 from morphspace.model.encode import framed_for, notes_on_enlarging
 from morphspace.model.model import MorphModel
@@ -22,6 +25,7 @@ from morphspace.stimuli.table_checks import check_table
 
 FRAME_RATE_HZ = 25.0  # where neither the request, the table nor the model tells it
 LISTED = 3  # names a message gives before it stops
+RIGHTS = ("consent", "licence")
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,6 +56,23 @@ def notes_on_identity(model: MorphModel, clip: Clip) -> tuple[str, ...]:
     return (
         f"the clip {clip.name} shows {told}, the model shows {model.identity}: make sure that this is meant",
     )
+
+
+def rights_of(model: MorphModel, clip: Clip) -> dict[str, Any]:
+    """Give consent and licence of what a stimulus shows: the face is the model's, the rest of the picture the clip's.
+
+    Where they differ each says whose it is; the clip's are named as the clip where it shows the same person.
+    """
+    told = clip.sidecar.identity
+    other = told if told not in (None, model.identity) else f"the clip {clip.name}"
+    labels = (model.identity, str(other))
+    found = {}
+    for key in RIGHTS:
+        of_model, of_clip = model.provenance.get(key), getattr(clip.sidecar, key)
+        if of_clip is None and told == model.identity:
+            of_clip = of_model
+        found[key] = told_together(labels, [of_model, of_clip])
+    return found
 
 
 def motion_name(name: str) -> str:
@@ -140,6 +161,14 @@ def _chosen(faces: Faces, frames: tuple[str, ...]) -> Faces:
         faces.inputs,
         faces.notes,
     )
+
+
+def frames_of(source: FramedClip, frames: tuple[str, ...]) -> FramedClip:
+    """Give the clip of these frames, in its own order. Raises `BadInput` where one is not there."""
+    check_frames(frames, source.names, source.clip.name)
+    wanted = set(frames)
+    places = [place for place, name in enumerate(source.names) if name in wanted]
+    return replace(source, clip=source.clip.subset(places))
 
 
 def check_frames(frames: Sequence[str], names: Sequence[str], where: str) -> None:

@@ -6,12 +6,22 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 
-from morphspace.arrays import AnyArray, LoadingTable
+from morphspace.arrays import AnyArray, LoadingTable, Mask
 from morphspace.errors import BadInput
+from morphspace.face.regions import WHOLE
+from morphspace.io.images import read_mask
+from morphspace.model.keypoints import region_of
+from morphspace.model.model import MorphModel
+from morphspace.stimuli.drawing import Drawing
+from morphspace.storage import digest_of_file
 
+PICTURE_SUFFIXES = (".png", ".tif", ".tiff", ".jpg", ".jpeg", ".exr", ".bmp")  # of a region that was painted
 SPAN = re.compile(r"([0-9]{1,5})(?:-([0-9]{1,5}))?")
 
 
@@ -39,3 +49,73 @@ def caricatured(
     factors: AnyArray = np.ones(loadings_sd.shape[1])
     factors[slice(None) if components is None else list(components)] = gain
     return np.asarray(loadings_sd * factors, np.float64)
+
+
+def caricature_drawing(
+    name: str,
+    veridical: LoadingTable,
+    gains: Mapping[str, float],
+    *,
+    components: tuple[int, ...] | None = None,
+    components_named_as: str | None = None,
+    region: str | None = None,
+    mask: Mask | None = None,
+    frame_rate_hz: float | None = None,
+    suffix: str = ".png",
+) -> Drawing:
+    """Return the drawing of faces at these gains.
+
+    Parameters
+    ----------
+    name
+        Of the faces; the gains are added to it.
+    veridical
+        Loadings (n, k) in SD.
+    gains
+        "gain" alone, or "warp_gain" and "texture_gain".
+    components
+        The places (from 0) that are changed, named as the user wrote them; None for all.
+    region, mask
+        The part of the face that changes, by its name, or with its mask (h, w) where one was painted.
+    frame_rate_hz
+        Of a video; None for pictures.
+    """
+    shape = caricatured(veridical, gains.get("gain", gains.get("warp_gain", 1.0)), components)
+    colour = None if "gain" in gains else caricatured(veridical, gains["texture_gain"], components)
+    told: dict[str, Any] = {"frame": name, **gains}
+    if components_named_as is not None:
+        told["components"] = components_named_as
+    if region is not None:
+        told["region"] = Path(region).name if mask is not None else region
+    ending = "_".join(
+        f"{key.removesuffix('gain').rstrip('_')[:1] or 'g'}{gain:g}" for key, gain in gains.items()
+    )
+    whole = region is None or (mask is None and region == WHOLE)
+    return Drawing(
+        name=f"{name}_{ending}",
+        loadings_sd=shape,
+        colour_sd=colour,
+        region=None if whole else told["region"],
+        outside_sd=None if whole else veridical,
+        frame_rate_hz=frame_rate_hz,
+        suffix=suffix,
+        told=told,
+        region_mask=mask,
+    )
+
+
+def caricature_region(region: str | None, model: MorphModel) -> tuple[Mask | None, dict[str, str]]:
+    """Give the mask that was painted, None where the region is a named one; refuse what cannot be one."""
+    if region is None:
+        return None, {}
+    path = Path(region)
+    if path.suffix.lower() not in PICTURE_SUFFIXES:
+        region_of(model, region)  # refuses names that are none, and models that do not know where
+        return None, {}
+    mask = read_mask(path)
+    if mask.shape != model.mask.shape:
+        raise BadInput(
+            f"the region {region} is {mask.shape[1]}x{mask.shape[0]}, the frames of {model.identity} are "
+            f"{model.size[0]}x{model.size[1]}: paint it on a rendered mean face"
+        )
+    return mask, {"region": digest_of_file(path)}

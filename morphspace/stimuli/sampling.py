@@ -1,11 +1,12 @@
-"""Faces at random, as loadings in SD: the normal distribution of the training faces, whole or cut off (ours)."""
+"""Faces as loadings in SD: at random, from the training faces' normal distribution, or along one component (ours)."""
 
 from __future__ import annotations
 
 import numpy as np
 
-from morphspace.arrays import LoadingTable
+from morphspace.arrays import AnyArray, LoadingTable
 from morphspace.errors import BadInput
+from morphspace.model.model import MorphModel
 
 LEAST_SHARE = 0.01  # of the spread: a cut-off below it would have most numbers drawn hundreds of times
 
@@ -34,3 +35,10 @@ def drawn_sd(
             return values, again
         again += found
         values[beyond] = rng.standard_normal(found) * spread
+
+
+def along(model: MorphModel, component: int, amounts_sd: AnyArray) -> LoadingTable:
+    """Give the loadings (n, k) SD at these amounts along one component, all others at 0."""
+    table = np.zeros((len(amounts_sd), model.rank))
+    table[:, component] = amounts_sd
+    return table

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 from morphspace.errors import BadInput
 from morphspace.requests import (
@@ -20,15 +19,10 @@ from morphspace.requests import (
 from morphspace.settings import Help, Option
 
 if TYPE_CHECKING:
-    from morphspace.arrays import LoadingTable, Mask
     from morphspace.model.model import MorphModel
     from morphspace.outcome import Outcome
     from morphspace.sets.planned import PlannedSet
-    from morphspace.sets.sources import Faces
     from morphspace.steps import Steps
-    from morphspace.stimuli.drawing import Drawing
-
-PICTURE_SUFFIXES = (".png", ".tif", ".tiff", ".jpg", ".jpeg", ".exr", ".bmp")  # of a region that was painted
 
 
 @declared
@@ -96,7 +90,7 @@ def plan(request: CaricatureRequest, model: MorphModel | None = None) -> Steps[P
     from morphspace.model.model import load_model
     from morphspace.sets.planned import plan_of
     from morphspace.sets.sources import faces_of
-    from morphspace.stimuli.caricature import components_named
+    from morphspace.stimuli.caricature import caricature_drawing, caricature_region, components_named
 
     model = model or load_model(request.model)
     for gains, what in (
@@ -106,12 +100,22 @@ def plan(request: CaricatureRequest, model: MorphModel | None = None) -> Steps[P
     ):
         check_gains(gains, what)
     components = None if request.components is None else components_named(request.components, model.rank)
-    mask, inputs = _region(request.region, model)
+    mask, inputs = caricature_region(request.region, model)
     faces = yield from faces_of(
         model, request.loadings, request.clip, request.frames, request.crop, request.frame_rate_hz
     )
     drawings = [
-        _drawing(request, faces, rows, name, gains, components, mask)
+        caricature_drawing(
+            name,
+            faces.loadings_sd[rows],
+            gains,
+            components=components,
+            components_named_as=request.components,
+            region=request.region,
+            mask=mask,
+            frame_rate_hz=None if request.video is None else faces.frame_rate_hz,
+            suffix=request.video or ".png",
+        )
         for name, rows in faces.stimuli(request.video)
         for gains in _gains(request)
     ]
@@ -134,62 +138,3 @@ def _gains(request: CaricatureRequest) -> list[dict[str, float]]:
     warps = request.warp_gains if request.warp_gains is not None else request.gains
     textures = request.texture_gains if request.texture_gains is not None else request.gains
     return [{"warp_gain": one, "texture_gain": other} for one in warps for other in textures]
-
-
-def _drawing(
-    request: CaricatureRequest,
-    faces: Faces,
-    rows: slice,
-    name: str,
-    gains: Mapping[str, float],
-    components: tuple[int, ...] | None,
-    mask: Mask | None,
-) -> Drawing:
-    from morphspace.face.regions import WHOLE
-    from morphspace.stimuli.caricature import caricatured
-    from morphspace.stimuli.drawing import Drawing
-
-    veridical: LoadingTable = faces.loadings_sd[rows]
-    shape = caricatured(veridical, gains.get("gain", gains.get("warp_gain", 1.0)), components)
-    colour = None if "gain" in gains else caricatured(veridical, gains["texture_gain"], components)
-    told: dict[str, Any] = {"frame": name, **gains}
-    if request.components is not None:
-        told["components"] = request.components
-    if request.region is not None:
-        told["region"] = Path(request.region).name if mask is not None else request.region
-    ending = "_".join(
-        f"{key.removesuffix('gain').rstrip('_')[:1] or 'g'}{gain:g}" for key, gain in gains.items()
-    )
-    whole = request.region is None or (mask is None and request.region == WHOLE)
-    return Drawing(
-        name=f"{name}_{ending}",
-        loadings_sd=shape,
-        colour_sd=colour,
-        region=None if whole else told["region"],
-        outside_sd=None if whole else veridical,
-        frame_rate_hz=None if request.video is None else faces.frame_rate_hz,
-        suffix=request.video or ".png",
-        told=told,
-        region_mask=mask,
-    )
-
-
-def _region(region: str | None, model: MorphModel) -> tuple[Mask | None, dict[str, str]]:
-    """Give the mask that was painted, None where the region is a named one; refuse what cannot be one."""
-    from morphspace.io.images import read_mask
-    from morphspace.model.keypoints import region_of
-    from morphspace.storage import digest_of_file
-
-    if region is None:
-        return None, {}
-    path = Path(region)
-    if path.suffix.lower() not in PICTURE_SUFFIXES:
-        region_of(model, region)  # refuses names that are none, and models that do not know where
-        return None, {}
-    mask = read_mask(path)
-    if mask.shape != model.mask.shape:
-        raise BadInput(
-            f"the region {region} is {mask.shape[1]}x{mask.shape[0]}, the frames of {model.identity} are "
-            f"{model.size[0]}x{model.size[1]}: paint it on a rendered mean face"
-        )
-    return mask, {"region": digest_of_file(path)}

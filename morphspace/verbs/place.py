@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 from morphspace.requests import (
     Clip,
@@ -19,15 +18,10 @@ from morphspace.requests import (
 from morphspace.settings import Help, Option
 
 if TYPE_CHECKING:
-    from morphspace.arrays import AnyArray
-    from morphspace.io.clips import Clip as OpenClip
-    from morphspace.io.framing import FramedClip
     from morphspace.model.model import MorphModel
     from morphspace.outcome import Outcome
     from morphspace.sets.planned import PlannedSet
     from morphspace.steps import Steps
-
-RIGHTS = ("consent", "licence")
 
 
 @declared
@@ -65,10 +59,17 @@ def plan(request: PlaceRequest, model: MorphModel | None = None) -> Steps[Planne
     from morphspace.io.tables import read_loadings_table
     from morphspace.model.encode import framed_for, notes_on_enlarging
     from morphspace.model.model import load_model
-    from morphspace.sets.kept import digest_of_kept, encoded_clip
+    from morphspace.sets.kept import aligned_clip, digest_of_kept, encoded_clip
     from morphspace.sets.manifest import Column
     from morphspace.sets.planned import plan_of
-    from morphspace.sets.sources import FRAME_RATE_HZ, Faces, check_frames, notes_on_identity
+    from morphspace.sets.sources import (
+        FRAME_RATE_HZ,
+        Faces,
+        check_frames,
+        frames_of,
+        notes_on_identity,
+        rights_of,
+    )
     from morphspace.stimuli.caricature import caricatured
     from morphspace.stimuli.drawing import Drawing, Placing
     from morphspace.stimuli.table_checks import check_reach, check_table
@@ -77,7 +78,7 @@ def plan(request: PlaceRequest, model: MorphModel | None = None) -> Steps[Planne
     source = framed_for(model, request.clip, request.crop)
     inputs, notes = {}, notes_on_enlarging(source.framing, model.identity)
     if request.loadings is None:
-        source = _chosen(source, request.frames or source.names)
+        source = frames_of(source, request.frames or source.names)
         loadings, registrations = yield from encoded_clip(model, source)
         loadings_sd = loadings.in_sd(model).values
     else:
@@ -85,10 +86,10 @@ def plan(request: PlaceRequest, model: MorphModel | None = None) -> Steps[Planne
         notes = check_table(model, table, request.loadings) + notes
         wanted = request.frames or table.frame_names
         check_frames(wanted, table.frame_names, str(request.loadings))
-        source = _chosen(source, wanted)
+        source = frames_of(source, wanted)
         rows = [table.frame_names.index(name) for name in source.names]
         loadings_sd = np.asarray(table.loadings_sd[rows])
-        registrations = yield from _aligned(model, source)
+        registrations = yield from aligned_clip(model, source)
         inputs["loadings"] = digest_of_kept(request.loadings)
     loadings_sd = caricatured(loadings_sd, request.gain)
     check_reach(loadings_sd, source.names, request.loadings or Path(source.clip.name))
@@ -114,53 +115,8 @@ def plan(request: PlaceRequest, model: MorphModel | None = None) -> Steps[Planne
         )
         for name, rows in faces.stimuli(request.video)
     ]
-    rights = _rights(model, source.clip)
+    rights = rights_of(model, source.clip)
     columns = {ORIGINAL_IDENTITY: Column("Whose pictures the faces were put back into, as the clip says")}
     return plan_of(
         request, "place", model, drawings, inputs=inputs, notes=notes, columns=columns, rights=rights
     )
-
-
-def _rights(model: MorphModel, clip: OpenClip) -> dict[str, Any]:
-    """Give consent and licence of what a stimulus shows: the face is the model's, the rest of the picture the clip's.
-
-    Where they differ each says whose it is; the clip's are named as the clip where it shows the same person.
-    """
-    from morphspace.avatar.build import told_together
-
-    told = clip.sidecar.identity
-    other = told if told not in (None, model.identity) else f"the clip {clip.name}"
-    labels = (model.identity, str(other))
-    found = {}
-    for key in RIGHTS:
-        of_model, of_clip = model.provenance.get(key), getattr(clip.sidecar, key)
-        if of_clip is None and told == model.identity:
-            of_clip = of_model
-        found[key] = told_together(labels, [of_model, of_clip])
-    return found
-
-
-def _chosen(source: FramedClip, frames: tuple[str, ...]) -> FramedClip:
-    """Give the clip of these frames, in its own order. Raises `BadInput` where one is not there."""
-    from morphspace.sets.sources import check_frames
-
-    check_frames(frames, source.names, source.clip.name)
-    wanted = set(frames)
-    places = [place for place, name in enumerate(source.names) if name in wanted]
-    return replace(source, clip=source.clip.subset(places))
-
-
-def _aligned(model: MorphModel, source: FramedClip) -> Steps[AnyArray]:
-    """Give where the faces are in their frames, (n, 2, 3), without reading their expressions."""
-    import numpy as np
-
-    from morphspace.grid import warp
-    from morphspace.steps import Step, in_order
-
-    registrations: list[AnyArray] = []
-    indices = list(range(len(source.names)))
-    items = zip(source.names, source.images(indices), strict=True)
-    for frame in in_order(lambda item: model.align(item[1], item[0]), items):
-        registrations.append(warp.chain_affine(source.to_source, frame.registration))
-        yield Step("align", len(registrations), len(indices))
-    return np.stack(registrations)

@@ -12,7 +12,7 @@ from morphspace.requests import Folder, Model, declared
 from morphspace.settings import Help, Option
 
 if TYPE_CHECKING:
-    from morphspace.arrays import AnyArray, LoadingTable
+    from morphspace.arrays import AnyArray
     from morphspace.model.model import MorphModel
     from morphspace.outcome import Outcome
     from morphspace.sets.planned import PlannedSet
@@ -78,6 +78,7 @@ def _of_component(
     import numpy as np
 
     from morphspace.stimuli.drawing import Drawing
+    from morphspace.stimuli.sampling import along
 
     name = f"pc{component + 1:03d}"
     for amount in amounts_sd.tolist():
@@ -94,12 +95,3 @@ def _of_component(
 def amount_words(amount_sd: float) -> str:
     """Give an amount as a part of a name, with its sign; 0 has none."""
     return "0" if abs(amount_sd) < 1e-9 else f"{amount_sd:+g}"
-
-
-def along(model: MorphModel, component: int, amounts_sd: AnyArray) -> LoadingTable:
-    """Give the loadings (n, k) SD at these amounts along one component, all others at 0."""
-    import numpy as np
-
-    table = np.zeros((len(amounts_sd), model.rank))
-    table[:, component] = amounts_sd
-    return table

@@ -1,11 +1,13 @@
 """The house as it is described: CONTRIBUTING shows the layers that import-linter checks."""
 
+import ast
 import re
 import tomllib
 from graphlib import TopologicalSorter
 from pathlib import Path
 
 import grimp
+import pytest
 
 ROOT = Path(__file__).parents[2]
 
@@ -32,3 +34,17 @@ def test_no_module_imports_itself_by_a_detour():
     graph = grimp.build_graph("morphspace", cache_dir=None)
     imported = {module: graph.find_modules_directly_imported_by(module) for module in graph.modules}
     TopologicalSorter(imported).prepare()  # raises CycleError, with the circle
+
+
+VERBS = sorted(path for path in (ROOT / "morphspace" / "verbs").glob("*.py") if path.stem != "__init__")
+MOST_LINES = 140  # beside what a request declares: settings, limits and help of one verb take 20 to 80
+
+
+@pytest.mark.parametrize("path", VERBS, ids=lambda path: path.stem)
+def test_a_verb_is_a_request_and_its_run(path):
+    tree = ast.parse(path.read_text())
+    classes = [node for node in tree.body if isinstance(node, ast.ClassDef)]
+    declared = sum(node.end_lineno - node.lineno + 1 for node in classes)
+    assert len(path.read_text().splitlines()) - declared <= MOST_LINES
+    defined = {node.name for node in tree.body if isinstance(node, ast.ClassDef | ast.FunctionDef)}
+    assert {"".join(map(str.capitalize, path.stem.split("_"))) + "Request", "run"} <= defined
