@@ -53,7 +53,7 @@ def outcome_of(make):
     except WrongSetting as error:
         return error.rest
     except click.UsageError as error:
-        return error.message.partition(" ")[2]
+        return "is " + error.message.partition(" is ")[2]
     except BadInput as error:  # settings that do not go together
         return str(error)
 
