@@ -1,7 +1,7 @@
-"""Results that stopped work resumes from: files in a folder, each named by the digest of all that it depends on.
+"""Stored results from which interrupted work resumes: files in a folder, each named by the digest of its inputs (ours).
 
-A build, a blend and a mimicry keep here what they computed of each frame. The same work resumes from these results;
-other settings reuse those that they do not change; several runs may share a folder. Source: ours.
+A build, a blend and a mimicry store here the results of each frame. The same work resumes from them; work with other
+settings reuses those that do not depend on these settings. Several runs may share a folder.
 """
 
 from __future__ import annotations
@@ -36,11 +36,11 @@ def result_file(folder: Path, *parts: Any) -> Path:
 
     Parameters
     ----------
-    folder
-        The folder of results.
+    folder : Path
     *parts
-        All that the result depends on, as JSON: a name and version of its kind, versions of what computes it, settings,
-        digests of its inputs.
+        Everything that the result depends on, as JSON: name and version of its kind, versions of the code, settings,
+        digests of
+        its inputs.
     """
     return folder / f"{digest_of_json(parts)[:KEY_DIGITS]}{SUFFIX}"
 
@@ -53,17 +53,20 @@ def write_result(file: Path, arrays: Mapping[str, AnyArray], document: Mapping[s
 def read_result(file: Path) -> tuple[dict[str, AnyArray], dict[str, Any]]:
     """Read a result and compare its content with its checksum.
 
+    Parameters
+    ----------
+    file : Path
+
     Returns
     -------
-    arrays
-        By name, read-only memory maps.
-    document
-        The JSON document.
+    arrays : dict of name to array
+        Read-only memory maps.
+    document : dict
 
     Raises
     ------
     UnreadableFile
-        The file is missing or damaged.
+        If the file is missing or damaged.
     """
     arrays, head = read_container(file)
     document = head.get("document")
@@ -75,7 +78,7 @@ def read_result(file: Path) -> tuple[dict[str, AnyArray], dict[str, Any]]:
 
 
 def is_finished(file: Path) -> bool:
-    """Return whether a result is there and undamaged; one that is not has to be computed again."""
+    """Return whether a result exists and is undamaged."""
     try:
         read_result(file)
     except UnreadableFile:
@@ -84,14 +87,14 @@ def is_finished(file: Path) -> bool:
 
 
 def forget(folder: Path) -> None:
-    """Remove all results from a folder, then the folder if nothing else is in it. Files of people stay."""
+    """Remove all results from a folder, then the folder if it is empty. Other files stay."""
     if not folder.is_dir():
         return
     remove_unfinished(folder, SUFFIX)
     for path in folder.iterdir():
         if NAME.fullmatch(path.name) and not path.is_dir():
             path.unlink(missing_ok=True)
-    with contextlib.suppress(OSError):  # something is left
+    with contextlib.suppress(OSError):  # it holds other files
         folder.rmdir()
 
 
@@ -99,7 +102,7 @@ def forget(folder: Path) -> None:
 def work_folder(given: Path | None, output: Path) -> Iterator[Path]:
     """Provide the folder of results for a block that writes `output`: the given one, or OUTPUT.work.
 
-    OUTPUT.work is removed when the block succeeds. When it fails after a result was finished, the folder stays, and the
+    OUTPUT.work is removed if the block succeeds. If it fails after a result was finished, the folder stays and the
     next run resumes from it. Raises `UnwritableFile`.
     """
     folder = given or output.with_name(f"{output.name}.work")
@@ -110,7 +113,7 @@ def work_folder(given: Path | None, output: Path) -> Iterator[Path]:
         yield folder
     except BaseException:
         if is_new:
-            with contextlib.suppress(OSError):  # finished results are in it
+            with contextlib.suppress(OSError):  # it holds finished results
                 folder.rmdir()
         raise
     if given is None:
@@ -118,7 +121,7 @@ def work_folder(given: Path | None, output: Path) -> Iterator[Path]:
 
 
 def _checksum(arrays: Mapping[str, AnyArray], document: Mapping[str, Any]) -> int:
-    """Return the CRC-32 of a result: damage is accidental, and SHA-256 of a frame takes three times as long."""
+    """Return the CRC-32 of a result: it detects accidental damage, in a third of the time of SHA-256."""
     total = zlib.crc32(json_text(document).encode())
     for name, array in arrays.items():
         total = zlib.crc32(f"{name}{array.dtype.str}{array.shape}".encode(), total)

@@ -1,33 +1,33 @@
-"""What can go wrong, as types.
+"""The errors of morphspace, as types.
 
-Every message is one line that names the thing, the two values that disagree, and what to do next. `BadInput` and its
-children are the user's to mend (the command line exits 2); a plain `MorphspaceError` is ours (exit 1).
+Every message is one line with the object, the two values that disagree, and what to do. `BadInput` and its children
+are faults of the input (the command line exits with 2); a plain `MorphspaceError` is a fault of morphspace (1).
 """
 
 
 class MorphspaceError(Exception):
-    """A failure that morphspace itself describes; the root of every error it raises on purpose."""
+    """A failure that morphspace describes itself; the root of all its errors."""
 
 
 class BadInput(MorphspaceError):
-    """Something the user gave cannot be used as it is."""
+    """An input cannot be used."""
 
 
 class UnreadableFile(BadInput):
-    """A file is missing, empty, cut short or not of the kind its name says."""
+    """A file is missing, empty, cut short or not of the kind that its name says."""
 
 
 class UnwritableFile(BadInput):
-    """An output cannot be written: no permission, no space, or a file is in the way."""
+    """An output cannot be written: no permission, no space, or another file has its name."""
 
 
 class SizeMismatch(BadInput):
-    """Images that must agree in size do not."""
+    """Images that must have one size do not."""
 
 
 class ReferenceMismatch(BadInput):
-    """Two objects live on different reference or mean faces, so that their numbers do not compare."""
+    """Two objects are registered to different reference or mean faces, so their numbers cannot be compared."""
 
 
 class ModelFileError(BadInput):
-    """A `.morph` file is cut short, of a future version, or not one of ours."""
+    """A `.morph` file is cut short, of a later version, or not a model."""

@@ -1,7 +1,7 @@
-"""What a verb gives back, and the record it leaves beside what it wrote.
+"""The result of a verb, and the record of how its output was made.
 
-Every folder of stimuli gets a `record.json` that says how to make it again: the verb and its settings, the digests of
-what went in and of what came out, and the versions of everything that computed.
+Every folder of stimuli gets a `record.json` from which it can be made again: the verb and its settings, the digests
+of the input and output files, and the versions of all computing packages.
 """
 
 from __future__ import annotations
@@ -30,9 +30,20 @@ COMPUTING_PACKAGES = (
 
 @dataclass(frozen=True)
 class Outcome:
-    """What was done: `lines` for a person, `document` for a machine, `warnings` to act on, `written` paths.
+    """The result of a verb.
 
-    `exit_code` 0 where all is well; a verb says in its help what others mean.
+    Attributes
+    ----------
+    lines : tuple of str
+        For the user.
+    document : mapping
+        For `--json`.
+    warnings : tuple of str
+        What the user should act on.
+    written : tuple of Path
+        Files that were written.
+    exit_code : int
+        0 for success; the help of a verb explains any other.
     """
 
     lines: tuple[str, ...]
@@ -49,7 +60,7 @@ def _versions() -> tuple[tuple[str, str], ...]:
 
 
 def versions() -> dict[str, str]:
-    """Give the versions of morphspace, Python and every package that computes."""
+    """Return the versions of morphspace, Python and every computing package."""
     return dict(_versions())
 
 
@@ -61,7 +72,7 @@ def write_record(
     outputs: Iterable[Path],
     name: str = RECORD_NAME,
 ) -> Path:
-    """Write a record into the folder: verb, settings, inputs (name to digest), outputs and versions."""
+    """Write a record into a folder: verb, settings, inputs (name to digest), outputs and versions."""
     digests = {path.relative_to(folder).as_posix(): digest_of_file(path) for path in sorted(outputs)}
     return write_record_of(folder / name, verb, settings, inputs, digests)
 
@@ -73,7 +84,7 @@ def write_record_of(
     inputs: Mapping[str, str],
     digests: Mapping[str, str],
 ) -> Path:
-    """Write a record as `write_record` does, of outputs whose digests are known (path from the folder to digest)."""
+    """Write a record like `write_record`, for outputs with known digests (path relative to the folder, to digest)."""
     record = {
         "format": "morphspace-record",
         "version": 1,

@@ -1,7 +1,7 @@
-"""Long work as generators of steps: one mechanism for progress bars, cancelling and resuming.
+"""Long work as generators of steps, for progress bars, cancelling and resuming.
 
-A generator yields a `Step` whenever a piece is finished and returns its result at the end. Whoever drives it decides
-what to do with the steps; stopping is not asking for the next one.
+A generator yields a `Step` after each finished piece and returns its result at the end. Its caller decides what to do
+with the steps, and stops the work by not asking for the next one.
 """
 
 from __future__ import annotations
@@ -29,22 +29,25 @@ Item = TypeVar("Item")
 Result = TypeVar("Result")
 
 WORKERS_VARIABLE = "MORPHSPACE_WORKERS"
-WORKER_BYTES = (
-    2**28
-)  # of a frame under way; a build takes 75 MB a worker at 512 x 512 px: room for 900 x 900 px
-KEPT_BYTES, LARGEST_KEPT_BYTES = 2**28, 2**25  # in all, and of one block; the library allows no larger
-M_TRIM_THRESHOLD, M_MMAP_THRESHOLD = -1, -3  # as malloc.h of Linux has them
-SHARE_OF_MEMORY = 0.5  # of the machine's, for frames under way
-MEMORY_LIMIT = Path("/sys/fs/cgroup/memory.max")  # of a container, on Linux
+WORKER_BYTES = 2**28  # of a frame in progress, up to 900 x 900 px; a build takes 75 MB at 512 x 512 px
+KEPT_BYTES, LARGEST_KEPT_BYTES = 2**28, 2**25  # in all, and of one block, the limit of the library
+M_TRIM_THRESHOLD, M_MMAP_THRESHOLD = -1, -3  # from malloc.h of Linux
+SHARE_OF_MEMORY = 0.5  # of the machine's memory, for frames in progress
+MEMORY_LIMIT = Path("/sys/fs/cgroup/memory.max")  # limit of a container on Linux
 
 _WORKERS: ContextVar[int | Executor | None] = ContextVar("workers", default=None)
 
 
 @dataclass(frozen=True)
 class Step:
-    """A finished piece of long work: `stage` says what is being done, `done` of `total` pieces are finished.
+    """A finished piece of long work.
 
-    `lines` are for a person who watches, such as the plan of what follows.
+    Attributes
+    ----------
+    stage : str
+        The name of the work.
+    done, total : int
+        Finished pieces and all pieces.
     """
 
     stage: str
@@ -57,7 +60,13 @@ Steps = Generator[Step, None, Result]
 
 
 def spread(count: int, most: int) -> list[int]:
-    """Return at most `most` of `count` places, evenly spread in rising order, the first and the last among them."""
+    """Return at most `most` of `count` indices, evenly spaced and ascending, with the first and the last.
+
+    Examples
+    --------
+    >>> spread(10, 4)
+    [0, 3, 6, 9]
+    """
     number = min(count, most)
     if number < 2:
         return [0] * number
@@ -66,7 +75,17 @@ def spread(count: int, most: int) -> list[int]:
 
 
 def result_of(steps: Generator[Step, None, Result], on_step: Callable[[Step], None] | None = None) -> Result:
-    """Run the work to its end, telling `on_step` of each finished piece, and give its result."""
+    """Run a generator of steps to its end, call `on_step` for each step, and return the result.
+
+    Examples
+    --------
+    >>> def work():
+    ...     yield Step("squares", 1, 1)
+    ...     return 4
+    >>> result_of(work(), lambda step: print(step.stage, step.done, "of", step.total))
+    squares 1 of 1
+    4
+    """
     while True:
         try:
             step = next(steps)
@@ -77,32 +96,33 @@ def result_of(steps: Generator[Step, None, Result], on_step: Callable[[Step], No
 
 
 class _SingleThreads:
-    """Keeps the threads inside BLAS and OpenCV at one while anybody asks for it, and gives back what was before.
+    """The limit of one thread for BLAS and OpenCV, shared by overlapping blocks.
 
-    Both limits are the whole process's. Loops may overlap, and end in another order than they began: each setting back
-    what it had found would leave the limit of one that is over. So the first sets it and the last one out undoes it.
+    Both limits belong to the whole process. Blocks may overlap and end in any order; if each restored the limit that
+    it found, a finished block could leave its own. The first block therefore sets the limit and the last one restores
+    it.
     """
 
     def __init__(self) -> None:
         self._lock = Lock()
-        self._asking = 0
+        self._blocks = 0
         self._undo = ExitStack()
 
     @contextmanager
-    def asked(self) -> Iterator[None]:
-        """Hold the limit for a block."""
+    def limited(self) -> Iterator[None]:
+        """Keep the limit for a block."""
         with self._lock:
-            if self._asking == 0:
+            if self._blocks == 0:
                 self._undo.enter_context(threadpool_limits(limits=1, user_api="blas"))
                 self._undo.callback(cv2.setNumThreads, cv2.getNumThreads())
                 cv2.setNumThreads(1)
-            self._asking += 1
+            self._blocks += 1
         try:
             yield
         finally:
             with self._lock:
-                self._asking -= 1
-                if self._asking == 0:
+                self._blocks -= 1
+                if self._blocks == 0:
                     self._undo.close()
 
 
@@ -110,19 +130,19 @@ _SINGLE_THREADS = _SingleThreads()
 
 
 def single_threads() -> AbstractContextManager[None]:
-    """Keep BLAS and OpenCV at one thread each for a block, as `in_order` does: the same bits on every machine."""
-    return _SINGLE_THREADS.asked()
+    """Limit BLAS and OpenCV to one thread each for a block, as `in_order` does: the same bits everywhere."""
+    return _SINGLE_THREADS.limited()
 
 
 @cache
 def keep_freed_memory() -> None:
-    """Let the process keep up to 256 MB of the memory that it frees, for the next arrays; the flow asks for it.
+    """Let the process keep up to 256 MB of freed memory for new arrays; the flow calls this.
 
-    The C library of Linux clears every page that it takes from the system, and gives large blocks back at once (mallopt
-    with M_MMAP_THRESHOLD) and what is free beyond a limit (M_TRIM_THRESHOLD). On frames of 512 x 512 px the flow then
-    costs 10 % more CPU time (median of 7 pairs of runs in turn, from 2 % to 32 %) and has 1.6 times the page faults.
-    Other C libraries are left as they are. The process has no other setting of this kind but the threads of BLAS, of
-    OpenCV (`single_threads`) and of OpenImageIO (`io.images`).
+    The C library of Linux clears every page that it takes from the system. It returns large blocks at once (mallopt
+    with M_MMAP_THRESHOLD) and free memory beyond a limit (M_TRIM_THRESHOLD). On frames of 512 x 512 px the flow then
+    takes 10 % more CPU time (median of 7 alternating pairs of runs, 2 % to 32 %) and 1.6 times the page faults. Other
+    C libraries stay unchanged. The only other settings of the process are the threads of BLAS and OpenCV
+    (`single_threads`) and of OpenImageIO (`io.images`).
     """
     with suppress(AttributeError, OSError, TypeError):  # another C library
         tune = ctypes.CDLL(None).mallopt
@@ -131,11 +151,16 @@ def keep_freed_memory() -> None:
 
 
 def worker_count() -> int:
-    """Return how many frames to work on at a time.
+    """Return how many frames to process at a time.
 
-    In this order: what `using_workers` set for the block; the environment variable MORPHSPACE_WORKERS; the number of
-    cores that this process may use, fewer where their frames would take more than half of the memory. Raises `BadInput`
-    where the variable is no number from 1.
+    The first of these that is set applies: the number of `using_workers`; the environment variable
+    MORPHSPACE_WORKERS; the number of cores that this process may use, or fewer if the frames would take more than
+    half of the memory.
+
+    Raises
+    ------
+    BadInput
+        If the variable is not a whole number from 1.
     """
     given = _WORKERS.get()
     if isinstance(given, int):
@@ -159,9 +184,9 @@ def core_count() -> int:
 
 
 def _memory_bytes() -> int:
-    """Return the memory of the machine or, where that is less, of the container."""
+    """Return the memory of the machine, or of the container if that is less."""
     found = sys.maxsize
-    with suppress(AttributeError, OSError, ValueError):  # Windows has no such figure
+    with suppress(AttributeError, OSError, ValueError):  # Windows does not report it
         found = os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
     with suppress(OSError, ValueError):  # no container, or one without a limit
         found = min(found, int(MEMORY_LIMIT.read_text()))
@@ -170,9 +195,14 @@ def _memory_bytes() -> int:
 
 @contextmanager
 def using_workers(given: int | Executor | None) -> Iterator[None]:
-    """Set for a block how many frames `in_order` works on at a time, or with which executor. None changes nothing."""
+    """Set for a block the number of workers of `in_order`, or its executor; None changes nothing.
+
+    Raises `BadInput` for a number below 1.
+    """
     if isinstance(given, int) and given < 1:
-        raise BadInput(f"the number of workers is {given}; expected at least 1. Leave it out for one a core")
+        raise BadInput(
+            f"the number of workers is {given}; expected at least 1. Leave it out for one per core"
+        )
     token = _WORKERS.set(_WORKERS.get() if given is None else given)
     try:
         yield
@@ -183,22 +213,28 @@ def using_workers(given: int | Executor | None) -> Iterator[None]:
 def in_order(
     work: Callable[[Item], Result], items: Iterable[Item], executor: Executor | int | None = None
 ) -> Iterator[Result]:
-    """Do `work` on the items at the same time and yield the results in the items' order.
+    """Call `work` on the items in parallel and yield the results in the order of the items.
 
-    Only a few items are under way at a time, so memory does not grow with their number. Matrix products and OpenCV's
-    filters inside the work run on one thread each: on a busy machine BLAS threads that wait for each other made an
-    encoding ten times slower, and some of OpenCV's results depend in their last bits on how many threads share a
-    picture. So the results are the same bits for any number of workers.
+    Only a few items are in progress at a time, so memory does not grow with their number. BLAS and OpenCV run on one
+    thread each inside the work. On a busy machine, BLAS threads that waited for each other made an encoding ten times
+    slower. Some of OpenCV's results depend in their last bits on how many threads share a picture. The results are
+    therefore the same bits for any number of workers.
 
     Parameters
     ----------
-    work
-        The function; for an executor of other processes it must be one that can be sent there.
-    items
+    work : function
+        For an executor of other processes it must be picklable.
+    items : iterable
         Its arguments, read as they are needed.
-    executor
-        What runs it, and is not shut down; or the number of threads to make. None takes what `using_workers` set for
-        the block, else `worker_count` threads.
+    executor : Executor or int, optional
+        The executor, which is not shut down, or the number of threads. By default that of `using_workers`, else
+        `worker_count`
+        threads.
+
+    Examples
+    --------
+    >>> list(in_order(abs, [-3, 2, -1], 2))
+    [3, 2, 1]
     """
     asked = executor if executor is not None else _WORKERS.get()
     if isinstance(asked, Executor):
@@ -207,7 +243,7 @@ def in_order(
     else:
         most = asked or worker_count()
         pool = ThreadPoolExecutor(most)
-    with _SINGLE_THREADS.asked(), pool as running:
+    with _SINGLE_THREADS.limited(), pool as running:
         pending: deque[Future[Result]] = deque()
         try:
             for item in items:

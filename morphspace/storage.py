@@ -1,8 +1,8 @@
-"""Files that appear whole or not at all, and the named-array container every binary file of ours uses.
+"""Atomic writing of files, and the container of named arrays behind every binary file of morphspace.
 
-A container is a safetensors file (no pickle, nothing executed on reading) whose header also carries one JSON
-document. It is written to a temporary name, flushed to the disk and renamed; it is read as memory maps, so
-that opening a large model costs milliseconds.
+A container is a safetensors file (no pickle, nothing is executed on reading) whose header also holds one JSON
+document. It is written under a temporary name, flushed to the disk and renamed. It is read as memory maps, so that a
+large model opens in milliseconds.
 """
 
 from __future__ import annotations
@@ -26,16 +26,12 @@ from morphspace.arrays import AnyArray
 from morphspace.errors import UnreadableFile, UnwritableFile
 
 ALIGNMENT = 64  # bytes; the data start on a cache line, so that maps of float32 and float64 are aligned
-MAX_HEADER_BYTES = 100_000_000  # the safetensors limit; a larger number means random bytes
-KEPT_NAME = 40  # characters a temporary file keeps of a name, so that it stays within the system's limit
-UNFINISHED = re.compile(
-    r"\.(?P<stem>.{1,40})\.[a-z0-9_]{8}(?P<suffix>\.[a-z0-9]+)"
-)  # the names `whole_file` gives
-ABANDONED_AFTER_S = (
-    3600  # a file is written in seconds: one that has not changed for so long belongs to a killed run
-)
-READ_BLOCK = 1 << 20  # bytes read at a time while digesting
-CHECK = "check the name and the permissions"
+MAX_HEADER_BYTES = 100_000_000  # the limit of safetensors; a larger number means random bytes
+KEPT_NAME = 40  # characters of a name that its temporary file keeps, within the system's limit
+UNFINISHED = re.compile(r"\.(?P<stem>.{1,40})\.[a-z0-9_]{8}(?P<suffix>\.[a-z0-9]+)")  # names of `whole_file`
+ABANDONED_AFTER_S = 3600  # a file is written in seconds: one unchanged for so long belongs to a killed run
+READ_BLOCK = 1 << 20  # bytes that are read at a time
+CHECK = "Check the name and the permissions"
 DTYPES = {
     "F64": np.float64,
     "F32": np.float32,
@@ -49,10 +45,10 @@ DTYPE_NAMES = {np.dtype(kind): name for name, kind in DTYPES.items()}
 
 @contextlib.contextmanager
 def whole_file(path: Path) -> Iterator[Path]:
-    """Give a temporary name beside `path`; on a clean exit flush it to the disk and rename it to `path`.
+    """Provide a temporary name beside `path` for a block; after the block flush it to the disk and rename it to `path`.
 
-    On any exception the temporary file is removed and what stood at `path` before is untouched. Raises
-    `UnwritableFile` where the folder or the disk refuses.
+    If the block fails, the temporary file is removed and an older file at `path` stays. Raises `UnwritableFile` if
+    the system refuses.
     """
     path = Path(path)
     try:
@@ -63,7 +59,7 @@ def whole_file(path: Path) -> Iterator[Path]:
         os.close(handle)
     except OSError as error:
         raise UnwritableFile(
-            f"cannot write {path}: {error.strerror or error}; choose another output folder"
+            f"cannot write {path}: {error.strerror or error}. Choose another output folder"
         ) from error
     temporary = Path(name)
     try:
@@ -74,7 +70,7 @@ def whole_file(path: Path) -> Iterator[Path]:
         temporary.replace(path)
     except OSError as error:
         raise UnwritableFile(
-            f"cannot write {path}: {error.strerror or error}; nothing was changed"
+            f"cannot write {path}: {error.strerror or error}. Free space or choose another name"
         ) from error
     finally:
         temporary.unlink(missing_ok=True)
@@ -87,14 +83,14 @@ def remove_unfinished(
 
     Parameters
     ----------
-    folder
-        The folder, without those inside it.
-    *suffixes
-        Suffixes of the files that were being written, such as ".png".
-    stems
-        Their names without suffix; None for any.
-    abandoned
-        Whether others may be writing here: only files that nobody has changed for an hour are then removed.
+    folder : Path
+        Subfolders are not searched.
+    *suffixes : str
+        Suffixes of the unfinished files, such as ".png".
+    stems : collection of str, optional
+        Their names without suffix; any by default.
+    abandoned : bool
+        Whether to spare files that changed within the last hour, because other runs may be writing them.
     """
     kept = None if stems is None else {stem[:KEPT_NAME] for stem in stems}
     for path in folder.glob(".*"):
@@ -109,14 +105,16 @@ def remove_unfinished(
 
 
 def make_folder(folder: Path) -> None:
-    """Make a folder for output and try to write into it. Raises `UnwritableFile`."""
+    """Make a folder for output and check that it can be written. Raises `UnwritableFile`."""
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        with tempfile.NamedTemporaryFile(prefix=".morphspace-", dir=folder):  # of this process alone
+        with tempfile.NamedTemporaryFile(
+            prefix=".morphspace-", dir=folder
+        ):  # a name that no other process has
             pass
     except OSError as error:
         raise UnwritableFile(
-            f"cannot write into {folder}: {error.strerror}; choose another output folder"
+            f"cannot write into {folder}: {error.strerror}. Choose another output folder"
         ) from error
 
 
@@ -133,12 +131,18 @@ def write_text(path: Path, text: str) -> None:
 
 
 def json_text(document: Any) -> str:
-    """Give `document` as JSON text with a fixed key order, so that the same content has the same bytes."""
+    """Return a document as JSON text with a fixed key order, so that equal content has equal bytes.
+
+    Examples
+    --------
+    >>> json_text({"b": 1, "a": 2}) == json_text({"a": 2, "b": 1})
+    True
+    """
     return json.dumps(document, indent=2, sort_keys=True, ensure_ascii=False, allow_nan=False) + "\n"
 
 
 def digest_of_bytes(*parts: bytes | memoryview) -> str:
-    """Give the SHA-256 of the parts in order, in hexadecimal."""
+    """Return the SHA-256 of the parts in order, in hexadecimal."""
     digest = hashlib.sha256()
     for part in parts:
         digest.update(part)
@@ -146,24 +150,24 @@ def digest_of_bytes(*parts: bytes | memoryview) -> str:
 
 
 def digest_of_file(path: Path) -> str:
-    """Give the SHA-256 of a file's bytes, in hexadecimal. Raises `UnreadableFile`."""
+    """Return the SHA-256 of a file's bytes, in hexadecimal. Raises `UnreadableFile`."""
     digest = hashlib.sha256()
     try:
         with Path(path).open("rb") as file:
             while block := file.read(READ_BLOCK):
                 digest.update(block)
     except OSError as error:
-        raise UnreadableFile(f"cannot read {path}: {error.strerror or error}") from error
+        raise UnreadableFile(f"cannot read {path}: {error.strerror or error}. {CHECK}") from error
     return digest.hexdigest()
 
 
 def digest_of_json(document: Any) -> str:
-    """Give the SHA-256 of a JSON document in its canonical text, in hexadecimal."""
+    """Return the SHA-256 of a JSON document in its canonical text, in hexadecimal."""
     return digest_of_bytes(json_text(document).encode())
 
 
 def digest_of_array(array: AnyArray) -> str:
-    """Give the SHA-256 of an array's type, shape and bytes, in hexadecimal."""
+    """Return the SHA-256 of an array's type, shape and bytes, in hexadecimal."""
     head = f"{array.dtype.str}{array.shape}".encode()
     return digest_of_bytes(head, np.ascontiguousarray(array).reshape(-1).view(np.uint8).data)
 
@@ -171,8 +175,15 @@ def digest_of_array(array: AnyArray) -> str:
 def write_container(path: Path, arrays: Mapping[str, AnyArray], document: Mapping[str, Any]) -> None:
     """Write named arrays and one JSON document as a safetensors file, whole or not at all.
 
-    The document is stored under the header's `__metadata__` as the text of `morphspace`. Arrays are written
-    in the order given, block by block; a memory-mapped array is never read whole. Raises `UnwritableFile`.
+    The text of the document is the entry `morphspace` in the header's `__metadata__`. Arrays are written in the given
+    order, block by block; a memory-mapped array is never read whole. Raises `UnwritableFile`.
+
+    Parameters
+    ----------
+    path : Path
+    arrays : mapping of name to array
+    document : mapping
+        JSON content.
     """
     header: dict[str, Any] = {"__metadata__": {"morphspace": json_text(document)}}
     offset = 0
@@ -197,9 +208,22 @@ def write_container(path: Path, arrays: Mapping[str, AnyArray], document: Mappin
 
 
 def read_container(path: Path) -> tuple[dict[str, AnyArray], dict[str, Any]]:
-    """Open a container: its arrays as read-only memory maps, and its JSON document.
+    """Open a container.
 
-    Raises `UnreadableFile` where the file is missing, cut short, too long, or not a container of ours.
+    Parameters
+    ----------
+    path : Path
+
+    Returns
+    -------
+    arrays : dict of name to array
+        Read-only memory maps.
+    document : dict
+
+    Raises
+    ------
+    UnreadableFile
+        If the file is missing, cut short, too long or not a container of morphspace.
     """
     path = Path(path)
     try:
@@ -208,48 +232,48 @@ def read_container(path: Path) -> tuple[dict[str, AnyArray], dict[str, Any]]:
             head = file.read(8)
             if len(head) < 8:
                 raise UnreadableFile(
-                    f"{path} is {size} bytes long, too short for a header: copy it again or rebuild it"
+                    f"{path} has {size} bytes; expected at least 8 for its header. Copy it again or rebuild it"
                 )
             (length,) = struct.unpack("<Q", head)
             if length > min(MAX_HEADER_BYTES, size - 8):
                 raise UnreadableFile(
-                    f"{path} is not a morphspace file: its header claims {length} bytes, the file has {size}"
+                    f"{path} is not a morphspace file: its header needs {length} bytes, it has {size}. Check the name"
                 )
             text = file.read(length)
         header = json.loads(text)
         document = dict(json.loads(header.pop("__metadata__")["morphspace"]))
         entries = {name: _entry_of(entry) for name, entry in header.items()}
     except OSError as error:
-        what = (
-            "it is a folder; name the file itself" if path.is_dir() else f"{error.strerror or error}; {CHECK}"
-        )
+        what = "it is a folder. Enter a file" if path.is_dir() else f"{error.strerror or error}. {CHECK}"
         raise UnreadableFile(f"cannot read {path}: {what}") from error
     except (ValueError, KeyError, TypeError, AttributeError, OverflowError, RecursionError) as error:
-        raise UnreadableFile(f"{path} is not a morphspace file: its header is not readable") from error
+        raise UnreadableFile(
+            f"{path} is not a morphspace file: its header is not readable. Check the name"
+        ) from error
     start = 8 + length
     arrays: dict[str, AnyArray] = {}
     end = start
     for name, (dtype, shape, first, last) in entries.items():
-        expected = dtype.itemsize * math.prod(shape)  # Python's own integers: a header may claim any size
+        expected = dtype.itemsize * math.prod(shape)  # Python's integers: a header may hold any size
         if min((0, *shape)) < 0 or first < 0 or last - first != expected:
             raise UnreadableFile(
-                f"{path}: array {name} of shape {shape} needs {expected} bytes, "
-                f"the header gives {last - first}"
+                f"{path}: array {name} of shape {shape} has {last - first} bytes in the header; expected {expected}. "
+                "Copy it again or rebuild it"
             )
         end = max(end, start + last)
         if end > size:
             raise UnreadableFile(
-                f"{path} is cut short: {end} bytes expected, {size} found; copy it again or rebuild it"
+                f"{path} is cut short: it has {size} bytes; expected {end}. Copy it again or rebuild it"
             )
         try:
             arrays[name] = _mapped(path, dtype, shape, start + first) if expected else np.zeros(shape, dtype)
-        except ValueError as error:  # more dimensions, or longer empty ones, than numpy can hold
+        except ValueError as error:  # more axes, or longer empty ones, than numpy allows
             raise UnreadableFile(
-                f"{path}: array {name} has an impossible shape of {len(shape)} sides"
+                f"{path}: array {name} has {len(shape)} axes, more or longer ones than numpy allows. Rebuild it"
             ) from error
     if end != size:
         raise UnreadableFile(
-            f"{path} is too long: {end} bytes expected, {size} found; copy it again or rebuild it"
+            f"{path} is too long: it has {size} bytes; expected {end}. Copy it again or rebuild it"
         )
     return arrays, document
 

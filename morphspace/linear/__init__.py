@@ -1,1 +1,1 @@
-"""Vectors and inner products, no faces: rows, principal components, convex mixtures, measures of error."""
+"""Linear algebra without faces: rows, principal components, convex mixtures, errors."""

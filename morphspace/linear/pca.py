@@ -1,11 +1,11 @@
-"""Principal components of serialised faces, in a weighted inner product: Nagle section 2, "PCA of the morphs".
+"""Principal components of serialised faces in a weighted inner product: Nagle et al., section 2, "PCA of the morphs".
 
-There are far fewer faces (n) than numbers in a face (d), so the eigenvectors come from the n x n Gram matrix (Turk and
-Pentland, Eigenfaces for recognition, 1991). It is summed in float64 over blocks of columns: the data are never in
+There are far fewer faces (n) than numbers in a face (d), so the eigenvectors come from the n x n Gram matrix (Turk
+and Pentland, Eigenfaces for recognition, 1991). It is summed in float64 over blocks of columns. The data are never in
 memory at once, and small components are not lost to rounding.
 
-The inner product is <a, b> = sum_j weight_j a_j b_j with weight_j >= 0. A column of weight 0 (outside the mask)
-does not decide what the components are, yet each component says how that column goes along.
+The inner product is <a, b> = sum_j weight_j a_j b_j with weight_j >= 0. A column of weight 0 (outside the mask) does
+not influence the components, yet each component has a value there, by which the column can be expanded.
 """
 
 from __future__ import annotations
@@ -19,17 +19,25 @@ from morphspace.arrays import AnyArray, LoadingTable, LoadingVector, Rows, read_
 from morphspace.errors import BadInput
 from morphspace.linear.rows import ColumnBlocks, column_ranges
 
-RANK_TOL = 1e-10  # of the largest eigenvalue; below it float32 rounding of the offsets is all there is
+RANK_TOL = 1e-10  # share of the largest eigenvalue; smaller ones are float32 rounding of the offsets
 ALL = slice(None)
-CONSTANT_TOL = 1e-11  # of the data's own energy; frames that agree to float32 have no component at all
+CONSTANT_TOL = 1e-11  # share of the data's energy; frames that agree to float32 have no component
 
 
 @dataclass(frozen=True, eq=False)
 class Basis:
-    """Components (k, d) float32, orthonormal in the weighted inner product, and the variance (k,) along each.
+    """Principal components, orthonormal in the weighted inner product.
 
-    `weight` (d,) float32 is the inner product. `discarded_variance` is the mean variance of the directions left out,
-    per dimension: the sigma^2 of probabilistic PCA (Tipping and Bishop 1999, equation 8).
+    Attributes
+    ----------
+    components : array (k, d) float32
+    variances : array (k,) float64
+        Variance of the training data along each component.
+    weight : array (d,) float32
+        Of the inner product.
+    discarded_variance : float
+        Mean variance per dimension of the omitted directions: sigma^2 of probabilistic PCA (Tipping and Bishop 1999,
+        equation 8).
     """
 
     components: Rows
@@ -40,8 +48,8 @@ class Basis:
     def __post_init__(self) -> None:
         if self.components.shape != (len(self.variances), len(self.weight)):
             raise BadInput(
-                f"components of shape {self.components.shape} do not fit {len(self.variances)} variances "
-                f"and {len(self.weight)} weights"
+                f"the components have the shape {self.components.shape}; expected ({len(self.variances)}, "
+                f"{len(self.weight)}) for the variances and weights. Build the model again"
             )
         for name in ("components", "variances", "weight"):
             object.__setattr__(self, name, read_only(getattr(self, name)))
@@ -53,34 +61,39 @@ class Basis:
 
     @property
     def variance_explained(self) -> float:
-        """The share of the training data's variance, in the inner product, that the components hold."""
+        """The share of the training data's variance, in the inner product, along the components."""
         kept = float(self.variances.sum())
         dimensions = max(1, int((self.weight > 0).sum()) - self.rank)
         total = kept + self.discarded_variance * dimensions
         return kept / total if total > 0 else 1.0
 
     def project(self, offsets: AnyArray) -> LoadingTable:
-        """Give the loadings of mean-relative vectors (..., d): inner products with each component, (..., k).
+        """Compute the loadings (..., k) of mean-relative vectors (..., d): inner products with each component.
 
-        Of many faces, one after the other, `inner_products` are faster.
+        For many faces one by one, `inner_products` is faster.
         """
         return np.asarray((offsets * self.weight) @ self.components.T, np.float64)
 
     def inner_products(self) -> InnerProducts:
-        """Give what takes the inner products with each component, for many faces."""
+        """Prepare the inner products with each component for many faces."""
         return InnerProducts(self.components, self.weight)
 
     def expand(self, loadings: AnyArray, columns: slice = ALL) -> AnyArray:
-        """Give the mean-relative vectors (..., d) float32 of loadings (..., k): Nagle's R = P l.
+        """Compute the mean-relative vectors (..., d) float32 of loadings (..., k): R = P l, Nagle et al., section 2.
 
-        Or only these of their `columns`.
+        `columns` selects a range of the d numbers.
         """
         return np.asarray(np.asarray(loadings, np.float32) @ self.components[:, columns])
 
     def truncate(self, components: int) -> Basis:
-        """Keep the first `components`; the variance of the others is added to what is discarded."""
+        """Keep the first `components`; the variance of the others is added to the discarded variance.
+
+        Raises `BadInput` if the number is outside 0 to the rank.
+        """
         if not 0 <= components <= self.rank:
-            raise BadInput(f"cannot keep {components} components of {self.rank}: choose 0 to {self.rank}")
+            raise BadInput(
+                f"the components are {components}; expected 0 to {self.rank}, the rank. Choose fewer"
+            )
         effective = max(1, int((self.weight > 0).sum()) - components)
         left_out = (
             self.discarded_variance * max(1, effective + components - self.rank)
@@ -96,10 +109,10 @@ class Basis:
 
 @dataclass(frozen=True, eq=False)
 class InnerProducts:
-    """The inner products of components P (k, d) with offsets r (d,), where a weight C (d,) says what counts: P C r.
+    """The inner products P C r of components P (k, d) and offsets r (d,) with weights C (d,).
 
-    Many pixels lie outside every mask. The components at the others are copied once, which halves what each face
-    reads.
+    Many pixels lie outside every mask. The components at the others are copied once, which halves the memory read for
+    each face.
     """
 
     components: Rows
@@ -107,22 +120,22 @@ class InnerProducts:
 
     @cached_property
     def places(self) -> AnyArray:
-        """Where something counts, (n,)."""
+        """The columns of positive weight, (n,)."""
         return np.flatnonzero(self.weight)
 
     @cached_property
     def weighted(self) -> AnyArray:
-        """P C there: (k, n) float32."""
+        """P C at those columns, (k, n) float32."""
         weighted = np.ascontiguousarray(self.components[:, self.places], np.float32)
         weighted *= self.weight[self.places]
         return weighted
 
     def with_offset(self, offset: AnyArray) -> LoadingVector:
-        """Give P C r (k,) of a mean-relative vector (d,)."""
+        """Compute P C r (k,) of a mean-relative vector (d,)."""
         return np.asarray(self.weighted @ np.take(offset, self.places), np.float64)
 
     def gram(self) -> AnyArray:
-        """Give P C P' (k, k), summed over blocks of columns in float64."""
+        """Compute P C P' (k, k), summed over blocks of columns in float64."""
         total = np.zeros((len(self.components), len(self.components)))
         for start, stop in column_ranges(2 * len(self.components), 0, len(self.places)):
             places = self.places[start:stop]
@@ -132,7 +145,7 @@ class InnerProducts:
 
 
 def mean_row(rows: ColumnBlocks) -> AnyArray:
-    """Give the mean of the rows, (d,) float32, summed in float64."""
+    """Compute the mean of the rows, (d,) float32, summed in float64."""
     n, d = rows.shape
     mean = np.empty(d, np.float32)
     for start, stop in column_ranges(n, 0, d):
@@ -141,8 +154,8 @@ def mean_row(rows: ColumnBlocks) -> AnyArray:
 
 
 def gram_matrix(rows: ColumnBlocks, mean: AnyArray, weight: AnyArray, start: int, stop: int) -> AnyArray:
-    """Give the inner products of all mean-relative rows over columns start:stop, (n, n) float64."""
-    from scipy.linalg.blas import dsyrk  # here, because only a build needs it and it is slow to import
+    """Compute the inner products of all mean-relative rows over columns start:stop, (n, n) float64."""
+    from scipy.linalg.blas import dsyrk  # slow to import, and only a build needs it
 
     n = rows.shape[0]
     lower = np.zeros((n, n), order="F")
@@ -160,12 +173,25 @@ def gram_matrix(rows: ColumnBlocks, mean: AnyArray, weight: AnyArray, start: int
 
 
 def principal_axes(gram: AnyArray, components: int, energy: float) -> tuple[AnyArray, AnyArray]:
-    """Diagonalise a Gram matrix (n, n), which is overwritten: what weighted sums of the rows are the components.
+    """Diagonalise a Gram matrix: find the weighted sums of the rows that are the components.
 
-    Returns coefficients (k, n) with components = coefficients @ offsets, and eigenvalues (k,) from the largest down. k
-    is at most `components`, n - 1 and the numerical rank; `energy` is the data's own mean square in the inner product,
-    against which "no variation at all" is judged. Each sign is chosen so that the training face furthest along the
-    component lies on its positive side.
+    Parameters
+    ----------
+    gram : array (n, n) float64
+        Overwritten.
+    components : int
+        Largest number of components.
+    energy : float
+        Mean square of the data in the inner product. Eigenvalues below `CONSTANT_TOL` of it are no variation.
+
+    Returns
+    -------
+    coefficients : array (k, n)
+        components = coefficients @ offsets; k is at most `components`, n - 1 and the numerical rank. Each sign is
+        such that the
+        training face furthest along the component lies on its positive side.
+    eigenvalues : array (k,)
+        In descending order.
     """
     from scipy.linalg import eigh
 
@@ -197,7 +223,7 @@ def combine_rows(rows: ColumnBlocks, coefficients: AnyArray, mean: AnyArray, out
 def basis_from_gram(
     rows: ColumnBlocks, mean: AnyArray, weight: AnyArray, gram: AnyArray, components: int
 ) -> tuple[Basis, LoadingTable]:
-    """Give the basis of the mean-relative rows and their loadings (n, k), from their Gram matrix, which is used up."""
+    """Compute the basis of the mean-relative rows and their loadings (n, k); the Gram matrix is overwritten."""
     n, d = rows.shape
     energy = float((np.square(mean, dtype=np.float64) * weight).sum())
     total = float(np.trace(gram))
@@ -212,10 +238,36 @@ def basis_from_gram(
 
 
 def fit_basis(rows: ColumnBlocks, weight: AnyArray, components: int) -> tuple[AnyArray, Basis, LoadingTable]:
-    """Fit a PCA: the mean (d,), the basis, and the loadings (n, k) of the rows themselves.
+    """Fit a PCA to the rows of a matrix.
 
-    Parameters: rows (n, d), n >= 2; weight (d,) >= 0, the inner product; components, the most to keep. Constant data
-    give rank 0.
+    Parameters
+    ----------
+    rows : ColumnBlocks (n, d)
+        n >= 2 faces.
+    weight : array (d,)
+        Of the inner product, >= 0.
+    components : int
+        Largest number of components. Constant data have none.
+
+    Returns
+    -------
+    mean : array (d,) float32
+    basis : Basis
+    loadings : array (n, k) float64
+        Of the rows.
+
+    References
+    ----------
+    Nagle et al., section 2; Turk and Pentland, Eigenfaces for recognition, 1991.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from morphspace.linear.rows import RowArray
+    >>> faces = np.array([[0, 1], [2, 1], [4, 1]], np.float32)
+    >>> mean, basis, loadings = fit_basis(RowArray(faces), np.ones(2, np.float32), 2)
+    >>> mean.tolist(), basis.variances.round(6).tolist(), abs(loadings).round(6).tolist()
+    ([2.0, 1.0], [4.0], [[2.0], [0.0], [2.0]])
     """
     mean = mean_row(rows)
     gram = gram_matrix(rows, mean, weight, 0, rows.shape[1])

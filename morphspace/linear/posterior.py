@@ -1,9 +1,9 @@
-"""The most probable loadings for what is seen of an offset: the posterior mean under probabilistic PCA.
+"""The most probable loadings of a partly visible offset: the posterior mean under probabilistic PCA.
 
-Components are orthonormal over the whole face and not over a part of it, so inner products over a part would mix them.
-A basis is read as probabilistic PCA instead: each loading has its variance, and what the components leave out is noise.
-The posterior mean is then the answer, of a part of the face, and where points are observed besides (Tipping and Bishop,
-Probabilistic principal component analysis, 1999, equation 12; methods 5, steps 4 and 6).
+Components are orthonormal over the whole face. They are not over a part of it, so inner products over a part would
+mix them. Under probabilistic PCA each loading has its variance, and the variance outside the components is noise. The
+posterior mean then estimates the loadings from a part of the face, and from further observations such as landmarks
+(Tipping and Bishop, Probabilistic principal component analysis, 1999, equation 12; methods 5, steps 4 and 6).
 """
 
 from __future__ import annotations
@@ -17,21 +17,21 @@ from morphspace.arrays import AnyArray, LoadingTable, LoadingVector
 from morphspace.errors import BadInput
 from morphspace.linear.pca import Basis, InnerProducts
 
-# Share of the least variance of a component. It is the noise of a model that leaves nothing out, so that a component
-# that cannot be seen stays at the mean. It shrinks the faintest component by 0.1 % and the others by less.
+# Share of the smallest variance of a component: the noise of a model without discarded variance. With it an invisible
+# component stays at the mean. It shrinks the smallest component by 0.1 % and the others by less.
 NOISE_FLOOR = 1e-3
 
 
 @dataclass(frozen=True, eq=False)
 class Observations:
-    """Numbers y (m,) that depend on the loadings linearly, y = l `weights` and noise, beside the offset.
+    """Further observations y (m,) that depend on the loadings linearly, y = l `weights` + noise.
 
-    Parameters
+    Attributes
     ----------
-    weights : (k, m)
-        Change of each number per unit of each loading.
-    precision : (m,)
-        How much each number counts: 1 over its variance.
+    weights : array (k, m)
+        Change of each observation per unit of each loading.
+    precision : array (m,)
+        1 over the variance of each observation.
     """
 
     weights: AnyArray
@@ -40,7 +40,7 @@ class Observations:
 
 @dataclass(frozen=True, eq=False)
 class Posterior:
-    """The posterior of loadings l given an offset r, seen where `weight` says.
+    """The posterior of loadings l given an offset r with weights.
 
     With P the components, C the weights, s^2 the noise and V the variances, the mean is
     l = (P C P' + s^2 V^-1)^-1 P C r. With observations y of weights W and precision N it is
@@ -51,18 +51,32 @@ class Posterior:
     ----------
     basis : Basis
         Components (k, d) and variances.
-    weight : (d,) float32
-        How much each number of an offset counts; 0 is not seen.
+    weight : array (d,) float32
+        Weight of each number of an offset; 0 is not visible.
     noise_factor : float
-        The noise as a multiple of what the basis leaves out, per number. Neighbouring numbers err together: one in so
-        many counts as independent.
+        Ratio of the noise to the discarded variance per number. The errors of neighbouring numbers correlate, so only
+        one
+        in this many counts as independent.
     observations : Observations, optional
-        What is observed besides.
+        Observations besides the offset.
 
     Raises
     ------
     BadInput
-        Where the basis has no component.
+        If the basis has no component.
+
+    References
+    ----------
+    Tipping and Bishop, Probabilistic principal component analysis, 1999, equation 12; the observations are ours.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from morphspace.linear.pca import Basis
+    >>> basis = Basis(np.eye(2, 3, dtype=np.float32), np.array([4.0, 1.0]), np.ones(3, np.float32), 0.0)
+    >>> first_two = np.array([1, 0, 1], np.float32)
+    >>> Posterior(basis, first_two, 1.0).mean(np.array([2.0, 5.0, 0.0])).round(2).tolist()
+    [2.0, 0.0]
     """
 
     basis: Basis
@@ -72,11 +86,13 @@ class Posterior:
 
     def __post_init__(self) -> None:
         if self.basis.rank == 0:
-            raise BadInput("the model has no component: build it from more frames, of different expressions")
+            raise BadInput(
+                "the model has no component; expected at least 1. Build it from more frames, of different expressions"
+            )
 
     @cached_property
     def noise(self) -> float:
-        """The noise s^2, at least `NOISE_FLOOR` of the least variance."""
+        """The noise s^2, at least `NOISE_FLOOR` of the smallest variance."""
         least = NOISE_FLOOR * float(self.basis.variances.min())
         return max(self.noise_factor * self.basis.discarded_variance, least)
 
@@ -92,11 +108,11 @@ class Posterior:
 
     @property
     def visible_share(self) -> AnyArray:
-        """How much of each component is seen, (k,); 1 is all of it."""
+        """The visible share of each component, (k,), 0 to 1."""
         return np.asarray(np.diag(self.gram))
 
     def mean(self, offset: AnyArray, observed: AnyArray | None = None) -> LoadingVector:
-        """Give the loadings (k,) of an offset (d,) and of observations y (m,), where there are any."""
+        """Compute the posterior mean (k,) of the loadings, from an offset (d,) and from observations y (m,), if any."""
         products = self.inner_products.with_offset(offset)
         if self.observations is not None and observed is not None:
             products = products + self.noise * (
@@ -105,11 +121,11 @@ class Posterior:
         return self._solved(products)
 
     def mean_of_faces(self, loadings: LoadingTable) -> LoadingTable:
-        """Give what is seen of faces that are known by their loadings (n, k): the mean for what they expand to."""
+        """Compute the posterior mean (n, k) of faces with known loadings (n, k) that are partly visible."""
         return self._solved((loadings @ self.gram).T).T
 
     def _solved(self, products: AnyArray) -> AnyArray:
-        from scipy.linalg import cho_solve  # here, because it is slow to import
+        from scipy.linalg import cho_solve  # slow to import
 
         sd = np.sqrt(self.basis.variances).reshape(-1, *[1] * (products.ndim - 1))
         return np.asarray(sd * cho_solve((self._factor, True), sd * products, check_finite=False))

@@ -1,9 +1,8 @@
-"""How close a picture comes to another, and a flow to its truth: the figures in metrics tables and reports.
+"""Errors of pictures and flows: the figures of metrics tables and reports.
 
-Images are compared as files will show them, clipped to [0, 1]. The mask weighs the face; hair and background do not
-count. The measures of a flow are those of the Middlebury benchmark (Baker et al., A database and evaluation methodology
-for optical flow, IJCV 92, 2011, section 4.1); each gives a map, so that a caller can mask it, average it or look at
-it.
+Images are compared as files store them, clipped to [0, 1], and weighted by the mask of the face. The flow errors are
+those of the Middlebury benchmark (Baker et al., A database and evaluation methodology for optical flow, IJCV 92,
+2011, section 4.1). Each returns a map, which a caller can mask, average or draw.
 """
 
 from __future__ import annotations
@@ -16,14 +15,24 @@ from morphspace.arrays import AnyArray, Displacement, Image, Mask
 from morphspace.errors import SizeMismatch
 from morphspace.grid import warp
 
-LEAST_MSE = 1e-12  # equal pictures give 120 dB, not infinity
-UNKNOWN_FLOW_PX = 1e6  # a truth with a component beyond it is unknown; Middlebury writes about 1.7e9
-OUTLIER_PX = 1.0  # of R1.0
+LEAST_MSE = 1e-12  # of the range [0, 1], squared; equal pictures have 120 dB, not infinity
+UNKNOWN_FLOW_PX = 1e6  # px; a larger component marks an unknown flow (Middlebury writes about 1.7e9)
+OUTLIER_PX = 1.0  # px, of R1.0
 
 
 @dataclass(frozen=True)
 class FlowErrors:
-    """A flow against its truth: average end-point error, average angular error, share of end points off by > 1 px."""
+    """Errors of a flow against the true flow.
+
+    Attributes
+    ----------
+    aee_px : float
+        Average end-point error.
+    aae_deg : float
+        Average angular error.
+    r1_percent : float
+        Share of end points with an error above `OUTLIER_PX`.
+    """
 
     aee_px: float
     aae_deg: float
@@ -31,7 +40,20 @@ class FlowErrors:
 
 
 def psnr_db(image: Image, truth: Image, mask: Mask) -> float:
-    """Give the peak signal-to-noise ratio (dB, peak 1) of an image (h, w, 3) inside the mask (h, w)."""
+    """Compute the peak signal-to-noise ratio (dB, peak 1) of an image inside a mask.
+
+    Parameters
+    ----------
+    image, truth : array (h, w, 3)
+    mask : array (h, w)
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> black, grey = np.zeros((4, 4, 3), np.float32), np.full((4, 4, 3), 0.1, np.float32)
+    >>> round(psnr_db(grey, black, np.ones((4, 4), np.float32)), 3)
+    20.0
+    """
     error = np.clip(image, 0, 1) - np.clip(truth, 0, 1)
     square = (error * error).mean(axis=2, dtype=np.float64)
     total = max(float(mask.sum(dtype=np.float64)), 1e-12)
@@ -39,7 +61,10 @@ def psnr_db(image: Image, truth: Image, mask: Mask) -> float:
 
 
 def ssim(image: Image, truth: Image, mask: Mask) -> float:
-    """Give the structural similarity (Wang et al. 2004, Gaussian window, sd 1.5 px) averaged over the mask."""
+    """Compute the structural similarity of two images (h, w, 3), averaged over the mask (h, w).
+
+    Gaussian window with an SD of 1.5 px: Wang et al., IEEE TIP 13, 2004.
+    """
     from skimage.metrics import structural_similarity
 
     _, local = structural_similarity(
@@ -56,32 +81,69 @@ def ssim(image: Image, truth: Image, mask: Mask) -> float:
 
 
 def rms_px(difference: AnyArray, mask: Mask) -> float:
-    """Give the root mean square length (px) of a displacement difference (h, w, 2) inside the mask."""
+    """Compute the root mean square length (px) of a displacement difference (h, w, 2) inside the mask (h, w)."""
     square = (difference * difference).sum(axis=2, dtype=np.float64)
     return float(np.sqrt((square * mask).sum() / max(float(mask.sum()), 1e-12)))
 
 
 def photometric_rmse(image: AnyArray, truth: AnyArray, mask: Mask) -> float:
-    """Give the root mean square difference of two pictures, (h, w) or (h, w, c), inside the mask, in 8-bit codes."""
+    """Compute the root mean square difference of two pictures, (h, w) or (h, w, c), inside the mask, in 8-bit codes."""
     error = 255 * (np.clip(image, 0, 1) - np.clip(truth, 0, 1)).astype(np.float64)
     square = error * error if error.ndim == 2 else (error * error).mean(axis=2)
     return float(np.sqrt((square * mask).sum() / max(float(mask.sum(dtype=np.float64)), 1e-12)))
 
 
 def endpoint_error(displacement: Displacement, truth: Displacement) -> AnyArray:
-    """Give how far each end point is from the true one, (h, w) float64 px, of two fields (h, w, 2).
+    """Compute the distance between the end points of two flows.
 
-    The end-point error of Otte and Nagel (ECCV 1994); Baker et al. 2011, section 4.1. Raises `SizeMismatch`.
+    Parameters
+    ----------
+    displacement, truth : array (h, w, 2), px
+
+    Returns
+    -------
+    array (h, w) float64, px
+
+    Raises
+    ------
+    SizeMismatch
+        If their sizes differ.
+
+    References
+    ----------
+    Otte and Nagel, ECCV 1994; Baker et al. 2011, section 4.1.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> endpoint_error(np.array([[[3.0, 4.0]]]), np.zeros((1, 1, 2))).tolist()
+    [[5.0]]
     """
     difference = _pair(displacement, truth)
     return np.hypot(difference[..., 0], difference[..., 1])
 
 
 def angular_error_deg(displacement: Displacement, truth: Displacement) -> AnyArray:
-    """Give the angle between (u, v, 1) and the true (u, v, 1), (h, w) float64 degrees, of two fields (h, w, 2).
+    """Compute the angle between (u, v, 1) of a flow and of the true flow.
 
-    Barron, Fleet and Beauchemin (IJCV 12, 1994); Baker et al. 2011, section 4.1. The angle is taken from sine and
-    cosine together: the arc cosine alone loses small angles. Raises `SizeMismatch`.
+    The angle comes from sine and cosine together: the arc cosine alone loses small angles.
+
+    Parameters
+    ----------
+    displacement, truth : array (h, w, 2), px
+
+    Returns
+    -------
+    array (h, w) float64, degrees
+
+    Raises
+    ------
+    SizeMismatch
+        If their sizes differ.
+
+    References
+    ----------
+    Barron, Fleet and Beauchemin, IJCV 12, 1994; Baker et al. 2011, section 4.1.
     """
     du, dv = np.moveaxis(_pair(displacement, truth), -1, 0)
     u, v = np.moveaxis(displacement.astype(np.float64), -1, 0)
@@ -91,24 +153,58 @@ def angular_error_deg(displacement: Displacement, truth: Displacement) -> AnyArr
 
 
 def forward_backward_px(forward: Displacement, backward: Displacement) -> AnyArray:
-    """Give how far each point lands from itself after going there and back, |u(p) + v(p + u(p))|, (h, w) float64 px.
+    """Compute the forward-backward error |u(p) + v(p + u(p))| of two flows.
 
-    `forward` u (h, w, 2) lives on the first picture, `backward` v (H, W, 2) on the second. v is read linearly, its edge
-    values continued outside: where `stays_inside` is False the figure says little. The check of Sundaram, Brox and
-    Keutzer (ECCV 2010), without their threshold.
+    v is read linearly, with its edge values continued outside: where `stays_inside` is False the error means little.
+
+    Parameters
+    ----------
+    forward : array (h, w, 2), px
+        u on the first picture.
+    backward : array (H, W, 2), px
+        v on the second picture.
+
+    Returns
+    -------
+    array (h, w) float64, px
+
+    References
+    ----------
+    Sundaram, Brox and Keutzer, ECCV 2010; their threshold is not applied.
     """
     there_and_back = warp.compose(backward, forward).astype(np.float64)
     return np.hypot(there_and_back[..., 0], there_and_back[..., 1])
 
 
 def stays_inside(displacement: Displacement, height: int, width: int) -> AnyArray:
-    """Give where p + u(p) lies on a second picture of this size, (h, w) bool."""
+    """Return where p + u(p) lies on a second picture of (height, width) px, (h, w) bool."""
     x, y = warp.positions(displacement)
     return (x >= -0.5) & (x <= width - 0.5) & (y >= -0.5) & (y <= height - 0.5)
 
 
 def flow_errors(displacement: Displacement, truth: Displacement) -> FlowErrors:
-    """Compare a flow with its truth (h, w, 2) where that is known; NaN where none of it is. Raises `SizeMismatch`."""
+    """Compare a flow with the true flow where that is known.
+
+    Parameters
+    ----------
+    displacement, truth : array (h, w, 2), px
+
+    Returns
+    -------
+    FlowErrors
+        NaN if the true flow is unknown everywhere.
+
+    Raises
+    ------
+    SizeMismatch
+        If their sizes differ.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> flow_errors(np.zeros((2, 2, 2)), np.full((2, 2, 2), [0.0, 2.0])).aee_px
+    2.0
+    """
     known = known_flow(truth)
     if not known.any():
         return FlowErrors(float("nan"), float("nan"), float("nan"))
@@ -122,15 +218,15 @@ def flow_errors(displacement: Displacement, truth: Displacement) -> FlowErrors:
 
 
 def known_flow(truth: Displacement) -> AnyArray:
-    """Give where a true field (h, w, 2) is known, (h, w) bool: finite, and no component beyond `UNKNOWN_FLOW_PX`."""
+    """Return where a true flow (h, w, 2) is known, (h, w) bool: finite and within `UNKNOWN_FLOW_PX`."""
     return np.logical_and(*np.moveaxis(np.abs(truth) <= UNKNOWN_FLOW_PX, -1, 0))
 
 
 def _pair(displacement: Displacement, truth: Displacement) -> AnyArray:
-    """Give the difference of two fields in float64, or raise `SizeMismatch`."""
+    """Check that two fields have one size, and return their difference in float64."""
     if displacement.shape != truth.shape:
         raise SizeMismatch(
-            f"a flow of {displacement.shape[1]}x{displacement.shape[0]} px cannot be compared with a truth of "
-            f"{truth.shape[1]}x{truth.shape[0]} px"
+            f"the flow has {displacement.shape[1]}x{displacement.shape[0]} px; expected {truth.shape[1]}x"
+            f"{truth.shape[0]} px, as the true flow. Compute it on the same pictures"
         )
     return displacement.astype(np.float64) - truth.astype(np.float64)

@@ -1,8 +1,8 @@
-"""Serialised faces on the disk, one a row: what lets a build of any number of frames run in fixed memory.
+"""Serialised faces on the disk, one a row, so that a build of any number of frames needs fixed memory.
 
-A matrix of n faces by d numbers is written row by row as the faces are made, and read back in blocks of columns,
-because the mean, the Gram matrix and the components are all sums over columns. Plain reads, no memory map: mapped
-pages would count as memory of the process and grow with the number of frames.
+A matrix of n faces by d numbers is written row by row and read in blocks of columns: the mean, the Gram matrix and
+the components are all sums over columns. Files are read without a memory map, since mapped pages would count as
+memory of the process and grow with the number of frames.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ import numpy as np
 from morphspace.arrays import AnyArray, Rows
 from morphspace.errors import UnwritableFile
 
-BLOCK_BYTES = 24 << 20  # a block of columns in float64; several live at once
+BLOCK_BYTES = 24 << 20  # bytes of a block of columns in float64; several exist at once
 
 
 class ColumnBlocks(Protocol):
@@ -30,12 +30,15 @@ class ColumnBlocks(Protocol):
         ...
 
     def columns(self, start: int, stop: int) -> Rows:
-        """Give columns start:stop of all rows, (n, stop - start) float32."""
+        """Read columns start:stop of all rows, (n, stop - start) float32."""
         ...
 
 
 class RowFile:
-    """A float32 matrix (n, d) in one raw file, written by rows, read by rows or by blocks of columns."""
+    """A float32 matrix (n, d) in one raw file, written by rows, read by rows or by blocks of columns.
+
+    Raises `UnwritableFile` if the disk has no room for it.
+    """
 
     def __init__(self, path: Path, rows: int, width: int) -> None:
         self.shape = (rows, width)
@@ -56,7 +59,7 @@ class RowFile:
         os.close(self._file)
 
     def write_row(self, index: int, *parts: AnyArray) -> None:
-        """Write one row, given as arrays whose sizes add up to d; safe from several threads for different rows."""
+        """Write one row from arrays whose sizes sum to d; threads may write different rows at the same time."""
         offset = index * self.shape[1] * 4
         for part in parts:
             data = np.ascontiguousarray(part, np.float32).reshape(-1)
@@ -75,18 +78,18 @@ class RowFile:
     def _full(self, error: OSError) -> UnwritableFile:
         gigabytes = self.shape[0] * self.shape[1] * 4 / 1e9
         return UnwritableFile(
-            f"cannot write {self.path}: {error.strerror}; {self.shape[0]} morphs take {gigabytes:.2g} GB: "
-            "make room, or choose another work folder"
+            f"cannot write {self.path}: {error.strerror}; {self.shape[0]} morphs take {gigabytes:.2g} GB. Free "
+            "space or choose another work folder"
         )
 
     def row(self, index: int) -> AnyArray:
-        """Give row `index`, (d,) float32."""
+        """Read row `index`, (d,) float32."""
         out = np.empty(self.shape[1], np.float32)
         os.preadv(self._file, [out.view(np.uint8).data], index * out.nbytes)
         return out
 
     def columns(self, start: int, stop: int, rows: Sequence[int] | AnyArray | None = None) -> Rows:
-        """Give columns start:stop of all rows, or of those named, (n, stop - start) float32."""
+        """Read columns start:stop of all rows or of these `rows`, (n, stop - start) float32."""
         wanted = range(self.shape[0]) if rows is None else rows
         out = np.empty((len(wanted), stop - start), np.float32)
         for index, row in zip(wanted, out, strict=True):
@@ -95,33 +98,39 @@ class RowFile:
 
 
 class RowArray:
-    """A matrix (n, d) that is in memory already, read in the same way as a `RowFile`."""
+    """A matrix (n, d) in memory with the interface of `RowFile`."""
 
     def __init__(self, values: Rows) -> None:
         self.values = values
         self.shape = (values.shape[0], values.shape[1])
 
     def columns(self, start: int, stop: int) -> Rows:
-        """Give columns start:stop of all rows, (n, stop - start)."""
+        """Return columns start:stop of all rows, (n, stop - start)."""
         return self.values[:, start:stop]
 
 
 class RowSubset:
-    """Some rows of another matrix, in the order given, as a matrix of their own (for cross-validation)."""
+    """Selected rows of another matrix, in the given order, for cross-validation."""
 
     def __init__(self, rows: ColumnBlocks, indices: AnyArray) -> None:
         self.rows, self.indices = rows, indices
         self.shape = (len(indices), rows.shape[1])
 
     def columns(self, start: int, stop: int) -> Rows:
-        """Give columns start:stop of the chosen rows."""
+        """Read columns start:stop of the selected rows."""
         if isinstance(self.rows, RowFile):
             return self.rows.columns(start, stop, self.indices)
         return self.rows.columns(start, stop)[self.indices]
 
 
 def column_ranges(rows: int, start: int, stop: int) -> Iterator[tuple[int, int]]:
-    """Cut columns start:stop into ranges whose blocks of `rows` rows take `BLOCK_BYTES` in float64."""
+    """Split columns start:stop into ranges whose blocks of `rows` rows take `BLOCK_BYTES` in float64.
+
+    Examples
+    --------
+    >>> list(column_ranges(3, 0, 500))
+    [(0, 500)]
+    """
     step = max(256, BLOCK_BYTES // (8 * max(rows, 1)))
     for first in range(start, stop, step):
         yield first, min(first + step, stop)

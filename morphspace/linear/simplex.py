@@ -1,9 +1,9 @@
-"""The mixture of some faces that comes nearest to another: a convex quadratic programme over the simplex (ours).
+"""The convex mixture of faces that is nearest to another face: a quadratic programme over the simplex (ours).
 
-Weights that are not negative and sum to 1 keep a mixture among what is mixed. Each face may cost something for its
-part, so that of many mixtures alike the one of few and near faces is taken, as in locality-constrained coding (Wang et
-al., CVPR 2010). An active-set method (Nocedal and Wright, Numerical Optimization, 2006, algorithm 16.3): few faces have
-a part in the end, so each step is a system of a few equations.
+Weights that are >= 0 and sum to 1 keep a mixture among the mixed faces. Each face may have a cost. Of many equal
+mixtures the solution is then the one of few and near faces, as in locality-constrained coding (Wang et al., CVPR
+2010). The solver is an active-set method (Nocedal and Wright, Numerical Optimization, 2006, algorithm 16.3). Few
+faces have a positive weight, so each step solves a system of a few equations.
 """
 
 from __future__ import annotations
@@ -12,20 +12,38 @@ import numpy as np
 
 from morphspace.arrays import AnyArray
 
-STEPS = 500  # a face joins or leaves in each; some 5 to 20 are taken
-RELATIVE_TOL = 1e-9  # of the largest squared distance: what a further face would gain
-RIDGE = 1e-10  # likewise; among more faces than dimensions no mixture is otherwise the only one
-LEAST_PART = 1e-12
+STEPS = 500  # upper limit; a face joins or leaves in each, and 5 to 20 are usual
+RELATIVE_TOL = 1e-9  # share of the largest squared distance; least gain for which a further face joins
+RIDGE = 1e-10  # share of the largest squared distance; makes the solution unique for many faces
+LEAST_WEIGHT = 1e-12  # a face of a smaller weight leaves
 
 
-def nearest_mixture(apart: AnyArray, costs: AnyArray) -> AnyArray:
-    """Give the weights w (n,), none negative, sum 1, for which |w apart|^2 + w costs is least.
+def nearest_mixture(differences: AnyArray, costs: AnyArray) -> AnyArray:
+    """Compute the weights w >= 0 of sum 1 that minimise |w D|^2 + w c.
 
-    `apart` (n, m) is how far each of n faces lies from the one that is looked for, `costs` (n,) what each costs. A face
-    that is not apart and costs nothing is taken alone.
+    Parameters
+    ----------
+    differences : array (n, m)
+        D: each of n faces minus the target face.
+    costs : array (n,)
+        c, of each face. A face equal to the target and without cost is the solution alone.
+
+    Returns
+    -------
+    array (n,)
+
+    References
+    ----------
+    Nocedal and Wright, Numerical Optimization, 2006, algorithm 16.3; Wang et al., CVPR 2010 (the costs).
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> nearest_mixture(np.array([[-1.0], [3.0]]), np.zeros(2)).round(6).tolist()
+    [0.75, 0.25]
     """
     count = len(costs)
-    gram = apart @ apart.T
+    gram = differences @ differences.T
     scale = float(max(np.diag(gram).max(), np.abs(costs).max()))
     weights = np.zeros(count)
     start = int(np.argmin(np.diag(gram) + costs))
@@ -33,35 +51,35 @@ def nearest_mixture(apart: AnyArray, costs: AnyArray) -> AnyArray:
     if scale == 0:
         return weights
     gram[np.diag_indices(count)] += RIDGE * scale
-    double = 2 * gram
-    taken = [start]
+    hessian = 2 * gram
+    active = [start]
     for _ in range(STEPS):
-        wanted = _on_plane(double, costs, taken)
-        now = weights[taken]
+        wanted = _on_plane(hessian, costs, active)
+        now = weights[active]
         if (wanted >= 0).all():
-            weights[taken] = wanted
-            slope = double @ weights + costs
+            weights[active] = wanted
+            slope = hessian @ weights + costs
             best = int(np.argmin(slope))
-            if slope[best] >= float(slope[taken].min()) - RELATIVE_TOL * scale:
+            if slope[best] >= float(slope[active].min()) - RELATIVE_TOL * scale:
                 break
-            taken.append(best)
+            active.append(best)
             continue
         falling = wanted < 0
         step = float((now[falling] / (now[falling] - wanted[falling])).min())
         moved = now + step * (wanted - now)
-        weights[taken] = np.where(moved > LEAST_PART, moved, 0.0)
-        taken = [place for place, part in zip(taken, moved, strict=True) if part > LEAST_PART]
+        weights[active] = np.where(moved > LEAST_WEIGHT, moved, 0.0)
+        active = [place for place, weight in zip(active, moved, strict=True) if weight > LEAST_WEIGHT]
     return weights / weights.sum()
 
 
-def _on_plane(double: AnyArray, costs: AnyArray, taken: list[int]) -> AnyArray:
-    """Give the weights (m,) of the faces taken, sum 1, at which the aim is least, negative ones allowed.
+def _on_plane(hessian: AnyArray, costs: AnyArray, active: list[int]) -> AnyArray:
+    """Compute the weights (m,) of the active faces, of sum 1 and any sign, that minimise the objective.
 
-    `double` (n, n) is twice the inner products of all faces.
+    `hessian` (n, n) is twice the inner products of all faces.
     """
-    size = len(taken)
-    system, told = np.ones((size + 1, size + 1)), np.ones(size + 1)
-    system[:size, :size] = double[taken][:, taken]
+    size = len(active)
+    system, right_side = np.ones((size + 1, size + 1)), np.ones(size + 1)
+    system[:size, :size] = hessian[active][:, active]
     system[size, size] = 0.0
-    told[:size] = -costs[taken]
-    return np.linalg.solve(system, told)[:size]
+    right_side[:size] = -costs[active]
+    return np.linalg.solve(system, right_side)[:size]

@@ -227,7 +227,7 @@ def test_a_truncated_model_has_its_own_name(model):
 
 def test_more_components_than_there_are_cannot_be_kept(model):
     for components in (-1, 4):
-        with pytest.raises(BadInput, match=f"cannot keep {components}"):
+        with pytest.raises(BadInput, match=f"components are {components}"):
             model.truncate(components)
 
 
