@@ -17,10 +17,10 @@ from __future__ import annotations
 
 import argparse
 import ast
+import hashlib
 import json
 import os
 import queue
-import random
 import re
 import resource
 import shutil
@@ -172,19 +172,35 @@ def files_of(room: str) -> list[Path]:
     return [place] if place.suffix == ".py" else sorted(place.rglob("*.py"))
 
 
-def mutants(rooms: list[str], count: int, seed: int, kinds: tuple[str, ...] = KINDS) -> list[Mutant]:
-    """Draw `count` different mutants, equally many of each kind; all of them where `count` is 0."""
-    sites = [changes for room in rooms for path in files_of(room) for changes in Sites(path).found]
-    rng = random.Random(seed)
+def candidates(rooms: list[str]) -> list[list[Mutant]]:
+    """Give all places that can be changed, each with its changes."""
+    return [changes for room in rooms for path in files_of(room) for changes in Sites(path).found]
+
+
+def drawn_from(sites: list[list[Mutant]], count: int, seed: int, kinds: list[str]) -> list[Mutant]:
+    """Draw `count` different mutants, equally many of each kind; all of them where `count` is 0.
+
+    The draw goes by what the places say, so that other changes of the code leave it as it is.
+    """
+    ranks: dict[str, list[Mutant]] = {}
+    for changes in sites:
+        words = f"{seed} {changes[0].path.relative_to(ROOT)} {changes[0].shown}"
+        same = sum(rank.startswith(words) for rank in ranks)
+        ranks[f"{words} {same}"] = changes
     drawn: list[Mutant] = []
     for number, kind in enumerate(kinds):
-        those = [changes for changes in sites if changes[0].kind == kind]
+        those = {rank: changes for rank, changes in ranks.items() if changes[0].kind == kind}
         if count == 0:
-            drawn += [change for changes in those for change in changes]
+            drawn += [change for changes in those.values() for change in changes]
             continue
         share = count // len(kinds) + (number < count % len(kinds))
-        drawn += [rng.choice(changes) for changes in rng.sample(those, min(share, len(those)))]
+        for rank in sorted(those, key=digest)[:share]:
+            drawn.append(those[rank][digest(rank)[0] % len(those[rank])])
     return sorted(drawn, key=lambda one: (one.where.split(":")[0], one.line, one.start))
+
+
+def digest(words: str) -> bytes:
+    return hashlib.sha256(words.encode()).digest()
 
 
 class Reach:
@@ -229,7 +245,7 @@ class Reach:
 
 def pytest_configure(config: pytest.Config) -> None:
     """Take part in the first run, which names this file as a plugin."""
-    wanted = json.loads(os.environ["MUTANTS_LINES"])
+    wanted = json.loads(Path(os.environ["MUTANTS_LINES"]).read_text())
     config.pluginmanager.register(Reach(wanted, Path(os.environ["MUTANTS_FOUND"])))
 
 
@@ -266,15 +282,16 @@ class Copy:
         found = re.findall(r"^(?:FAILED|ERROR) (\S+)", out, re.MULTILINE)
         return "killed", " ".join(found) or out.strip().splitlines()[-1]
 
-    def reach(self, drawn: list[Mutant], options: argparse.Namespace) -> dict[str, dict[str, float]]:
+    def reach(self, sites: list[list[Mutant]], options: argparse.Namespace) -> dict[str, dict[str, float]]:
         """Run the default tests once: give the tests that run each line, and each file, and for how many seconds."""
         lines: dict[str, list[int]] = {}
-        for one in drawn:
+        for one, *_ in sites:
             lines.setdefault(str(one.path.relative_to(ROOT)), []).append(one.line)
         found: dict[str, dict[str, float]] = {}
         with tempfile.TemporaryDirectory() as notes:
+            (wanted := Path(notes) / "wanted").write_text(json.dumps(lines))
             words = ["-p", "mutants", "-n", str(options.workers)]
-            more = {"MUTANTS_LINES": json.dumps(lines), "MUTANTS_FOUND": notes}
+            more = {"MUTANTS_LINES": str(wanted), "MUTANTS_FOUND": notes}
             _, failing = self.pytest(words, 3600, **more)
             for note in Path(notes).glob("*.json"):
                 for place, tests in json.loads(note.read_text()).items():
@@ -283,9 +300,7 @@ class Copy:
             raise SystemExit(f"the default tests did not run: {failing}")
         return {**found, "failing": dict.fromkeys(failing.split(), 0.0)}
 
-    def verdict(
-        self, mutant: Mutant, reach: dict[str, dict[str, float]], timeout_s: float
-    ) -> tuple[str, str]:
+    def verdict(self, mutant: Mutant, reach: dict[str, dict[str, float]]) -> tuple[str, str]:
         name = mutant.path.relative_to(ROOT)
         tests = reach.get(f"{name}:{mutant.line}") or reach.get(str(name), {})
         room = f"tests/{name.parts[1]}/"
@@ -307,7 +322,9 @@ class Copy:
             place.write_text(source)
 
 
-def judged(drawn: list[Mutant], options: argparse.Namespace) -> Iterator[tuple[Mutant, str, str]]:
+def judged(
+    drawn: list[Mutant], sites: list[list[Mutant]], options: argparse.Namespace
+) -> Iterator[tuple[Mutant, str, str]]:
     waiting: queue.Queue[Mutant] = queue.Queue()
     done: queue.Queue[tuple[Mutant, str, str]] = queue.Queue()
     for mutant in drawn:
@@ -328,7 +345,7 @@ def judged(drawn: list[Mutant], options: argparse.Namespace) -> Iterator[tuple[M
         if options.reach and options.reach.exists():
             reach = json.loads(options.reach.read_text())
         else:
-            reach = copies[0].reach(drawn, options)
+            reach = copies[0].reach(sites, options)
             if options.reach:
                 options.reach.write_text(json.dumps(reach))
         print(
@@ -353,12 +370,13 @@ def main() -> int:
     parser.add_argument("--reach", type=Path, help="file that keeps which test runs which line")
     parser.add_argument("--list", action="store_true", help="list the mutants and stop")
     options = parser.parse_args()
-    drawn = mutants(options.rooms, options.count, options.seed, tuple(options.kinds))
+    sites = candidates(options.rooms)
+    drawn = drawn_from(sites, options.count, options.seed, options.kinds)
     if options.list:
         print(*(f"{one.where}  {one.shown}" for one in drawn), sep="\n")
         return 0
     started, survivors, rows = time.monotonic(), 0, []
-    for mutant, verdict, by in judged(drawn, options):
+    for mutant, verdict, by in judged(drawn, sites, options):
         survivors += verdict == "passed"
         rows.append(
             f"{'SURVIVED' if verdict == 'passed' else verdict:8}  {mutant.where}  {mutant.shown}  {by}"
