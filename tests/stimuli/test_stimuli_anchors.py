@@ -8,12 +8,14 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from morphspace.stimuli.continuum import Line, even_positions
+from morphspace.errors import BadInput
+from morphspace.stimuli.continuum import Line, even_positions, given_positions
+from morphspace.stimuli.drawing import Drawing
 from morphspace.stimuli.image_statistics import image_statistics
 from morphspace.stimuli.plausibility import plausibility, plausible_limits_sd
 from morphspace.stimuli.stepping import difference, equalised
-from morphspace.stimuli.timing import at_positions, positions_like, smoothed
-from morphspace.stimuli.trajectory import bridge, usual_step
+from morphspace.stimuli.timing import at_positions, positions_like, retimed, smoothed
+from morphspace.stimuli.trajectory import bridge, caricatured, usual_step
 
 WEIGHTS = np.array([3.0, 1.0, 0.5])
 
@@ -80,3 +82,27 @@ def test_a_component_beyond_three_sd_is_marked(drawn_anna, furthest_sd, beyond):
     limits = plausible_limits_sd(drawn_anna.model)
     face = np.array([[furthest_sd, 0.0, 0.0]])
     assert plausibility(limits, [face]).beyond == beyond
+
+
+def drawing(name="a", furthest_sd=0.0):
+    return Drawing(name, np.array([[0.0, furthest_sd]]))
+
+
+@pytest.mark.parametrize(
+    ("work", "most", "beyond"),
+    [
+        (even_positions, 10_000, 10_001),
+        (lambda end: given_positions([0.0, end]), 11.0, 11.01),
+        (lambda end: given_positions([-end, 0.0]), 10.0, 10.01),
+        (lambda size: drawing("a" * size), 200, 201),
+        (lambda size: drawing("\u00e4" * size), 100, 101),
+        (lambda far: drawing(furthest_sd=far), 1000.0, 1001.0),
+        (lambda far: drawing(furthest_sd=-far), 1000.0, 1001.0),
+        (lambda gain: caricatured(motion(1), motion(2), gain, WEIGHTS), 1000.0, 1001.0),
+        (lambda frames: retimed(motion(1, 11), 10 / frames), 99_999, 100_001),
+    ],
+)
+def test_limits_lie_where_they_are_said_to_lie(work, most, beyond):
+    work(most)
+    with pytest.raises(BadInput):
+        work(beyond)

@@ -1,7 +1,5 @@
 """What a mouth is asked to open beyond what it ever showed: counted in eye distances, from the landmark regressions."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
@@ -10,8 +8,8 @@ from morphspace.face.mesh import LANDMARKS, landmark_places
 from morphspace.model.landmarks import LandmarkRegression
 from morphspace.transfer.mimicry import mimic
 from morphspace.transfer.neutral import Neutral, neutral_of
-from morphspace.transfer.quality import Reach, openings_of, reach_of
-from morphspace.transfer.quality_table import BEYOND, WIDER, FrameMade
+from morphspace.transfer.quality import Quality, Reach, openings_of, reach_of
+from morphspace.transfer.quality_table import BEYOND, FOLDS, FrameMade, rounded
 
 FRAME = FaceFrame((20.0, 30.0), (40.0, 30.0), (30.0, 44.0))
 EYES_PX = 20.0
@@ -78,8 +76,26 @@ def test_without_landmarks_it_is_not_known(talker):
         assert beyond(source, target, 1.0) is None
 
 
-def test_a_mouth_asked_wider_than_ever_shown_is_flagged(talker):
-    made = mimic(talker, talker, "map")(opening(talker, 1.0))
-    for wider, flagged in ((None, False), (WIDER, False), (WIDER + 1e-3, True)):
-        frame = FrameMade((0.0,), made.quality, Reach(0.0, 1.0, wider), None, None, 0, "")
-        assert (BEYOND in replace(frame).flags) is flagged
+@pytest.mark.parametrize(
+    ("missing", "wider", "folds", "flags"),
+    [
+        (0.10004, 0.03004, 0.0050004, ()),  # as the table rounds them, they are at their limits
+        (0.1001, None, 0.0, (BEYOND,)),
+        (0.0, 0.0301, 0.0, (BEYOND,)),
+        (0.0, None, 0.005001, (FOLDS,)),
+        (0.2, -1.0, 0.1, (BEYOND, FOLDS)),
+    ],
+)
+def test_a_frame_is_flagged_beyond_its_limits(missing, wider, folds, flags):
+    """OUT_OF_RANGE and WIDER, eye distances; FOLDED, of the cells; DECIMALS."""
+    quality = Quality(1.0, 1.0, 1.0, 1.0, 0, folds)
+    frame = FrameMade((0.0,), quality, Reach(missing, 1.0, wider), None, None, 0, "")
+    assert frame.flags == flags
+
+
+def test_the_table_keeps_as_many_decimals_as_another_machine_agrees_on():
+    shares = ("texture_kept", "warp_kept", "missing_motion", "opening_beyond")
+    assert [rounded(name, 0.123456) for name in (*shares, "colour_agreement")] == [0.1235] * 5
+    assert [rounded(name, 1.23456) for name in ("length_sd", "largest_sd", "outside_source")] == [1.235] * 3
+    assert [rounded(name, 1.26) for name in ("yaw_deg", "pitch_deg")] == [1.3] * 2
+    assert rounded("folds", 0.01234567) == 0.012346
