@@ -153,6 +153,10 @@ BAD = (
     ("blend-avatar anna.morph ben.morph -o out/x.morph --identity ||", "--identity empty"),
     ("blend-avatar anna.morph ben.morph -o out/x.morph --sharpen 10", "0 3"),
     ("blend-avatar anna.morph ben.morph -o out/x.morph --expressions few", "few all"),
+    ("blend-avatar anna.morph ben.morph -o out/x.morph --expressions 0", "0 1"),
+    ("blend-avatar anna.morph ben.morph -o out/x.morph --expressions 1 --weights 1,0", "1 3"),
+    ("blend-avatar anna.morph ben.morph -o out/x.morph --sharpen 3.1", "3.1 0 3"),
+    ("blend-avatar anna.morph ben.morph -o out/x.morph --components 0", "0 1"),
     ("blend-avatar anna.morph ben.morph -o out/x.morph --surround carl", "carl"),
 )
 
