@@ -1,4 +1,4 @@
-"""Laws of the primitives: torch gives what OpenCV gives, on pictures of any shape, and so does the flow on them."""
+"""Laws of the primitives: torch equals OpenCV on pictures of any shape, and so does the flow on both."""
 
 import builtins
 import sys
@@ -22,12 +22,12 @@ CV = OpenCVBackend()
 SHAPES = ((48, 40), (33, 27), (16, 400), (400, 16), (7, 3), (2, 40), (40, 2), (1, 25), (25, 1), (1, 1))
 CODES = 255.0
 ROUNDING = 1e-6 * CODES  # a few float32 roundings of codes 0 to 255
-FLOW_PX = 0.01  # what the two are allowed to differ by
+FLOW_PX = 0.01  # px; tolerance between the backends
 
 
 @pytest.fixture(scope="module")
 def ours():
-    """The torch backend, on the GPU where there is one."""
+    """Return the torch backend, on a GPU if there is one."""
     torch = pytest.importorskip("torch")
     torch.set_num_threads(1)
     return named_backend("torch")
@@ -38,14 +38,14 @@ def noise(shape, seed=0, planes=3):
 
 
 def soft(shape, seed=0, planes=3):
-    """A smooth random picture (planes, h, w) whose codes fill 0 to 255."""
+    """Draw a smooth random picture (planes, h, w) with codes from 0 to 255."""
     out = ndimage.gaussian_filter(noise(shape, seed, planes), (0, 2, 2), mode="mirror")
     out -= out.min()
     return (CODES * out / max(out.max(), 1e-6)).astype(np.float32)
 
 
 def positions(shape, seed=0, beyond_px=6.0):
-    """Random (x, y) px, some of them outside the picture."""
+    """Draw random (x, y) px, some of them outside the picture."""
     height, width = shape
     random = np.random.default_rng(seed)
     x = random.uniform(-beyond_px, width - 1 + beyond_px, shape)
@@ -98,7 +98,7 @@ def test_samplers_agree_on_smooth_pictures(ours, shape):
     planes = soft(shape)
     x, y = positions(shape)
     found = ours.numpy(ours.sampler(ours.planes(planes))(*on(ours, x, y)))
-    # codes; OpenCV is asked for positions that float32 rounds to 3e-5 px at 400 px
+    # codes; float32 rounds OpenCV's positions to 3e-5 px at 400 px
     assert_allclose(found, CV.sampler(planes)(x, y), rtol=0, atol=1e-3)
 
 
@@ -133,7 +133,7 @@ def test_averages_over_areas_agree_at_any_ratio(ours, shape):
 
 @pytest.mark.parametrize("shape", SHAPES)
 def test_medians_are_the_same_to_the_bit(ours, shape):
-    levels = np.random.default_rng(3).integers(0, 2, (2, *shape)).astype(np.float32)  # ties everywhere
+    levels = np.random.default_rng(3).integers(0, 2, (2, *shape)).astype(np.float32)  # many ties
     for planes in (noise(shape), levels):
         assert_array_equal(ours.numpy(ours.median(ours.planes(planes))), CV.median(planes))
 
@@ -142,7 +142,7 @@ def test_medians_are_the_same_to_the_bit(ours, shape):
 @pytest.mark.parametrize(("strength", "edge_codes"), [(10.0, 8.0), (300.0, 20.0)])
 @pytest.mark.parametrize("shape", SHAPES)
 def test_smoothers_agree(ours, shape, strength, edge_codes, guides):
-    guide = 1.2 * soft(shape, seed=1, planes=guides) - 20  # beyond 0 and 255 too
+    guide = 1.2 * soft(shape, seed=1, planes=guides) - 20  # partly outside 0 to 255
     planes = noise(shape, planes=2)
     found = ours.numpy(ours.smoother(ours.planes(guide), strength, edge_codes)(ours.planes(planes)))
     # of the largest code; OpenCV's own distance from the exact solution
@@ -161,7 +161,7 @@ def test_recursive_smoothers_agree(ours, shape, strength, edge_codes, guides):
 
 
 @pytest.mark.parametrize("strength", [2.0, 20.0])
-def test_a_recursive_smoother_answers_a_dot_as_one_round_of_the_global_one(strength):
+def test_a_recursive_smoother_has_the_impulse_response_of_one_global_round(strength):
     dot = np.zeros((1, 101, 101), np.float32)
     dot[0, 50, 50] = 1
     found = CV.recursive_smoother(np.zeros_like(dot), strength, 10.0)(dot)[0]
@@ -237,7 +237,7 @@ def test_a_bank_is_its_filters_one_by_one(ours):
             assert_allclose(layer, alone, rtol=0, atol=ROUNDING * CODES)
 
 
-def test_planes_are_float32_and_the_backends_own(ours):
+def test_planes_are_float32_copies(ours):
     array = np.arange(12.0).reshape(3, 2, 2).transpose(1, 2, 0)
     array.flags.writeable = False
     planes = ours.planes(array)
@@ -269,7 +269,7 @@ def preset(colours, rivals_px, checked_px=0):
 
 
 def apart_px(backend, chosen, reference, frame):
-    """How far the fields of both backends are apart at each pixel."""
+    """Compute the distance between the fields of both backends at each pixel, px."""
     theirs = method(chosen, CV)(reference)(frame).displacement
     mine = method(chosen, backend)(reference)(frame).displacement
     assert mine.dtype == np.float32
@@ -281,7 +281,7 @@ def apart_px(backend, chosen, reference, frame):
 def test_the_flow_is_the_same_on_both(ours, picture, wavy_field, shape, colours):
     reference, true = picture(*shape, seed=4), wavy_field(*shape, 3.0, seed=5)
     apart, field = apart_px(ours, preset(colours, 0), reference, warp.render(reference, true))
-    assert np.hypot(*field.transpose(2, 0, 1)).max() > 1  # something did move
+    assert np.hypot(*field.transpose(2, 0, 1)).max() > 1  # there is motion
     assert apart.max() < FLOW_PX
 
 
@@ -299,7 +299,7 @@ def test_the_flow_of_a_face_is_the_same_but_for_a_few_close_choices(ours, checke
     photograph, marks = astronaut_face()
     pair = flow_pair(photograph, marks, kind="mouth", peak_px=8.0, size=96)
     apart, _ = apart_px(ours, preset("rgb", 140, checked_px), pair.reference, pair.frame)
-    # two rivals may look alike to rounding, and then either is taken: that is no error of a primitive
+    # two rivals may be equal to rounding, and then the choice is arbitrary: no error of a primitive
     assert np.median(apart) < 1e-4
     assert np.quantile(apart, 0.99) < FLOW_PX
     assert apart.max() < 0.3
@@ -312,13 +312,11 @@ def test_the_same_pair_gives_the_same_bytes(ours, picture, wavy_field):
     assert first.tobytes() == second.tobytes()
 
 
-def test_nothing_but_the_result_leaves_the_device(monkeypatch, picture):
+def test_only_the_result_leaves_the_device(monkeypatch, picture):
     torch = pytest.importorskip("torch")
     backend = named_backend("torch:cpu")
-    backend.device = torch.device(
-        "meta"
-    )  # has shapes but no values; mixing it with the CPU raises, as a GPU would
-    monkeypatch.setattr(torch.Tensor, "__float__", lambda tensor: 1.0)  # the smoother asks when to stop
+    backend.device = torch.device("meta")  # shapes without values; mixing it with the CPU raises, as on a GPU
+    monkeypatch.setattr(torch.Tensor, "__float__", lambda tensor: 1.0)  # the smoother reads when to stop
     back = []
 
     def shapes_alone(planes):
@@ -331,14 +329,14 @@ def test_nothing_but_the_result_leaves_the_device(monkeypatch, picture):
     assert set(back) == {"meta"}
 
 
-# choosing one
+# choice by name
 
 
 def test_opencv_is_chosen_by_name():
     assert isinstance(named_backend("opencv"), OpenCVBackend)
 
 
-def test_torch_takes_the_gpu_where_there_is_one(ours):
+def test_torch_uses_a_gpu_if_there_is_one(ours):
     import torch
 
     chosen = named_backend("torch").planes(np.ones((1, 2, 2)))
@@ -353,7 +351,7 @@ def test_an_unknown_backend_is_named(name):
 
 
 @pytest.mark.parametrize("device", ["gpu", "meta", "cuda:x", "cuda:99", "cpu:cpu"])
-def test_a_device_that_is_not_there_is_named(device):
+def test_a_missing_device_is_named(device):
     pytest.importorskip("torch")
     with pytest.raises(BadInput, match=repr(device)) as caught:
         named_backend(f"torch:{device}")

@@ -1,4 +1,4 @@
-"""Laws of the stock flows: direction, size and the zero of a picture with itself, on drawn movements."""
+"""Laws of the library flows: direction, size and zero for equal pictures, on drawn movements."""
 
 import numpy as np
 import pytest
@@ -32,7 +32,7 @@ def test_flow_of_a_picture_with_itself_is_zero(picture, name):
 def test_flow_points_from_the_reference_to_the_frame(picture, name):
     canvas = picture(HEIGHT + 10, WIDTH + 10, seed=2, sd_px=2.5)
     reference = np.ascontiguousarray(canvas[5:-5, 5:-5])
-    frame = np.ascontiguousarray(canvas[7:-3, 2:-8])  # its content lies 3 px further right and 2 px higher
+    frame = np.ascontiguousarray(canvas[7:-3, 2:-8])  # its content moves 3 px right and 2 px up
     field = STOCK[name](reference)(frame, None).displacement[15:-15, 15:-15]
     assert_allclose(field[..., 0], 3, atol=0.25)  # px
     assert_allclose(field[..., 1], -2, atol=0.25)

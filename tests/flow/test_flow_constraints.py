@@ -1,4 +1,4 @@
-"""Laws of the constraints: distances in px that no contrast changes, and raw values only where the light agrees."""
+"""Laws of the constraints: distances in px without contrast, and raw values only under constant light."""
 
 from dataclasses import replace
 
@@ -32,18 +32,18 @@ INNER = np.s_[8:-8, 8:-8]  # beyond the reach of the filters from the edge
 
 
 def codes_of(image):
-    """The planes (c, h, w) of a picture (h, w, c)."""
+    """Return the planes (c, h, w) of a picture (h, w, c)."""
     return np.ascontiguousarray(image.transpose(2, 0, 1) * np.float32(CODES))
 
 
 def between(one, other, channels):
-    """The tensor of two pictures (c, h, w)."""
+    """Compute the tensor of two pictures (c, h, w)."""
     halves = (half_derivatives(CV, np.float32(planes), channels) for planes in (one, other))
     return tensor(CV, *halves, channels, one.shape)
 
 
 def waves(right=0.0, down=0.0, seed=0):
-    """Three colours of five waves (3, h, w), none shorter than 14 px, with their content this far right and down."""
+    """Draw three colours of five waves (3, h, w) of at least 14 px, with their content moved right and down."""
     rng = np.random.default_rng(seed)
     y, x = np.mgrid[:HEIGHT, :WIDTH].astype(np.float64)
     planes = np.full((3, HEIGHT, WIDTH), 128.0)
@@ -66,27 +66,27 @@ def waves(right=0.0, down=0.0, seed=0):
     st.integers(0, 99),
     st.sampled_from([ORDER_0, ORDERS_12, ALL]),
 )
-def test_no_motion_misses_by_less_than_nothing(height, width, colours, contrast, seed, channels):
+def test_residuals_are_not_negative(height, width, colours, contrast, seed, channels):
     rng = np.random.default_rng(seed)
     one, other = CODES * 10.0**contrast * rng.standard_normal((2, colours, height, width))
     found = between(one, other, channels)
     du, dv = (10.0 * rng.standard_normal((2, height, width))).astype(np.float32)
     scale = found.sums[0] * du**2 + found.sums[1] * dv**2 + found.sums[5] + 1
-    assert (found.residual(du, dv) >= -1e-5 * scale).all()  # float32 takes differences here
+    assert (found.residual(du, dv) >= -1e-5 * scale).all()  # float32 rounding of differences
     assert (
         found.sums[0] * found.sums[1] - found.sums[2] ** 2 >= -1e-5 * (found.sums[0] + found.sums[1]) ** 2
     ).all()
 
 
 @pytest.mark.parametrize("motion", [(0.5, 0.0), (0.0, -0.5), (0.3, 0.4), (-0.6, 0.2)])
-def test_the_true_motion_misses_by_nothing(motion):
+def test_the_residual_of_the_true_motion_is_zero(motion):
     # the mean slope over a step s is right to (k s)^2 / 12 of it: 0.6 % for the shortest wave
     found = between(waves(), waves(*motion), ORDERS_12)
-    at_rest = found.residual(np.float32(0), np.float32(0))[INNER]
+    at_zero = found.residual(np.float32(0), np.float32(0))[INNER]
     at_truth = found.residual(*np.float32(motion))[INNER]
-    assert at_rest.mean() > 0.5 * np.hypot(*motion) ** 2  # px^2
-    assert at_truth.mean() < 1e-4 * at_rest.mean()
-    assert found.residual(*-np.float32(motion))[INNER].mean() > 3 * at_rest.mean()
+    assert at_zero.mean() > 0.5 * np.hypot(*motion) ** 2  # px^2
+    assert at_truth.mean() < 1e-4 * at_zero.mean()
+    assert found.residual(*-np.float32(motion))[INNER].mean() > 3 * at_zero.mean()
 
 
 def test_the_quadratic_is_least_at_the_true_motion():
@@ -94,14 +94,14 @@ def test_the_quadratic_is_least_at_the_true_motion():
     found = between(waves(), waves(*motion), ALL)
     xx, yy, xy, xt, yt = (part[INNER].sum(dtype=float) for part in found.sums[:5])
     solved = np.linalg.solve([[xx, xy], [xy, yy]], [-xt, -yt])
-    assert_allclose(solved, motion, atol=0.01)  # px; order 0 has lost the median of its change
+    assert_allclose(solved, motion, atol=0.01)  # px; order 0 lacks the median of its change
 
 
-def test_equal_pictures_are_off_by_the_motion_alone():
+def test_the_residual_of_equal_pictures_is_the_motion_squared():
     found = between(waves(), waves(), ORDERS_12)
     for part in ("xt", "yt", "tt"):
         assert_array_equal(found.sums[PARTS.index(part)], 0)
-    # five channels, each a distance along its own slope: along all directions half of it
+    # five channels, each a distance along its own slope: half of it on average over directions
     length = found.residual(np.float32(1), np.float32(0)) + found.residual(np.float32(0), np.float32(1))
     assert_allclose(length[INNER], 5, rtol=1e-3)
 
@@ -117,7 +117,7 @@ def test_channels_add_up():
         assert np.abs(rest.sums[PARTS.index(part)] - sum_).max() > 0.01
 
 
-def test_an_order_of_weight_zero_is_as_if_it_were_not_there():
+def test_an_order_of_weight_zero_has_no_effect():
     one, other = waves(), waves(0.4, 0.2)
     short, long = (
         between(one, other, replace(ALL, weights=weights)) for weights in ((0.3, 1.0), (0.3, 1.0, 0.0))
@@ -131,7 +131,7 @@ def test_contrast_cancels(contrast):
     one, other = waves(), waves(0.4, 0.2)
     before = between(one, other, ORDERS_12)
     after = between(contrast * one, contrast * other, ORDERS_12)
-    for part in PARTS:  # but where a slope is no longer than the noise floor
+    for part in PARTS:  # except where a slope is below the noise floor
         apart = np.abs(after.sums[PARTS.index(part)] - before.sums[PARTS.index(part)])
         assert np.quantile(apart, 0.99) < 5e-3  # px^2
 
@@ -160,13 +160,13 @@ def test_noise_counts_less_than_texture():
     strengths = []
     for planes in (0.2 * noise, noise, 20 * noise):
         found = between(planes, planes, channels)
-        strengths.append((found.sums[0] + found.sums[1])[INNER].mean() / 5)  # of a channel
+        strengths.append((found.sums[0] + found.sums[1])[INNER].mean() / 5)  # per channel
     assert strengths[0] < 0.05
-    assert 0.4 < strengths[1] < 0.5  # slopes as long as the floor in the mean: a channel counts half
+    assert 0.4 < strengths[1] < 0.5  # mean slopes equal to the floor: a channel counts half
     assert strengths[2] > 0.95
 
 
-def test_the_noise_floor_is_the_slope_noise_has():
+def test_the_noise_floor_is_the_mean_squared_slope_of_noise():
     rng = np.random.default_rng(1)
     noise = 4.0 * rng.standard_normal((2, 400, 400)).astype(np.float32)
     channels = replace(ALL, noise_codes=4.0)
@@ -184,7 +184,7 @@ def test_a_colour_without_contrast_adds_no_noise():
     beside = between(np.concatenate([one, flat]), np.concatenate([other, flat]), ORDERS_12)
     for part in PARTS:
         apart = np.abs(beside.sums[PARTS.index(part)] - alone.sums[PARTS.index(part)])
-        assert np.quantile(apart, 0.99) < 5e-3  # px^2; the floor itself is that of two colours
+        assert np.quantile(apart, 0.99) < 5e-3  # px^2; the floor is that of two colours
 
 
 def test_halves_of_two_derivatives_add_up_to_their_mean():
@@ -196,7 +196,7 @@ def test_halves_of_two_derivatives_add_up_to_their_mean():
         assert_allclose((one[at] + other[at])[0][INNER], mean, atol=1e-3)
 
 
-def test_the_orders_lie_one_after_the_other():
+def test_derivatives_are_ordered_by_total_order():
     assert [up_to(4)[of_order(n)] for n in range(5)] == [
         tuple((n - down, down) for down in range(n + 1)) for n in range(5)
     ]
@@ -205,7 +205,7 @@ def test_the_orders_lie_one_after_the_other():
 # order 0
 
 
-def test_order_0_does_not_see_a_constant():
+def test_order_0_ignores_a_constant():
     one, other = waves(), waves(0.4, 0.2)
     before, after = (between(one, other + constant, ORDER_0) for constant in (0.0, 40.0))
     assert before.sums[0][INNER].mean() > 0.2
@@ -230,17 +230,17 @@ def test_motion_alone_leaves_order_0_on():
     assert (found.sums[0] + found.sums[1])[INNER].mean() > 0.6
 
 
-def test_the_other_orders_do_not_ask_for_the_light():
+def test_higher_orders_do_not_depend_on_the_light():
     one, other = waves(), waves(0.4, 0.2)
     y, _ = np.mgrid[:HEIGHT, :WIDTH]
     ramp = 2.0 * y  # codes; over 100 in all
     before, after = between(one, other, ORDERS_12), between(one, other + ramp, ORDERS_12)
-    # second derivatives see no ramp, and first ones a constant: what is left of the strength is all of it
+    # a ramp has no second derivatives and constant first ones: the strength is all of order 0
     strength = (after.sums[0] + after.sums[1])[INNER] / (before.sums[0] + before.sums[1])[INNER]
     assert_allclose(strength, 1, atol=1e-3)
 
 
-# looks
+# mismatch
 
 
 def looks_of(planes, channels=ALL):
@@ -258,16 +258,16 @@ def looked_at(reference, frame, right, down):
     )
 
 
-def test_a_picture_looks_like_itself_and_unlike_where_it_is_not(picture):
+def test_the_mismatch_is_zero_with_itself_and_grows_with_displacement(picture):
     planes = codes_of(picture(HEIGHT, WIDTH, seed=3, sd_px=2.5))
     assert_allclose(looked_at(planes, planes, 0, 0), 0, atol=1e-4)
     for right, down in ((1, 0), (0, -1)):
         step = looked_at(planes, planes, right, down)[INNER]
-        assert 0.3 < np.median(step) < 1.5  # px: about one, more along edges less
+        assert 0.3 < np.median(step) < 1.5  # px: about 1, less along edges
     assert np.median(looked_at(planes, planes, 9, 7)[INNER]) > 1.5
 
 
-def test_a_moved_picture_looks_like_itself_where_it_went(picture):
+def test_the_mismatch_of_a_moved_picture_is_zero_at_its_displacement(picture):
     canvas = codes_of(picture(HEIGHT + 8, WIDTH + 8, seed=4, sd_px=2.5))
     one, other = canvas[:, 4:-4, 4:-4], canvas[:, 6:-2, 1:-7]  # content goes 3 right, 2 up
     inside = np.s_[10:-10, 10:-10]
@@ -275,12 +275,12 @@ def test_a_moved_picture_looks_like_itself_where_it_went(picture):
     assert np.median(looked_at(one, other, -3, 2)[inside]) > 1.5
 
 
-def test_a_constant_light_does_not_change_the_looks(picture):
+def test_a_constant_light_does_not_change_the_mismatch(picture):
     planes = codes_of(picture(HEIGHT, WIDTH, seed=3, sd_px=2.5))
     assert_allclose(looked_at(planes, planes + 30, 0, 0), 0, atol=1e-3)
 
 
-def test_beyond_the_frame_nothing_looks_alike(picture):
+def test_the_mismatch_is_largest_outside_the_frame(picture):
     planes = codes_of(picture(HEIGHT, WIDTH, seed=3, sd_px=2.5))
     found = looked_at(planes, planes, WIDTH, 0)
     assert_allclose(found, MOST_MISMATCH_PX, rtol=1e-5)

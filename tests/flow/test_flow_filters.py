@@ -1,4 +1,4 @@
-"""Laws of the derivative kernels: polynomials exactly, analytic forms, and the frequency response of a Gaussian."""
+"""Laws of the derivative kernels: exact polynomials, analytic forms, and the frequency response of a Gaussian."""
 
 from math import factorial
 
@@ -15,7 +15,7 @@ WIDTHS_PX = (0.5, 0.6, 0.7, 1.0, 1.5, 3.0**0.5, 3.0)
 
 
 def smoothed_power(degree, sd):
-    """The polynomial x**degree under a Gaussian, by the moments of the normal distribution (numpy polynomial)."""
+    """Smooth x**degree by a Gaussian, from the moments of the normal distribution (numpy polynomial)."""
     moments = [0.0 if k % 2 else sd**k * (1.0, 1.0, 1.0, 0.0, 3.0, 0.0)[k] for k in range(degree + 1)]
     terms = [special.comb(degree, k) * moments[k] for k in range(degree, -1, -1)]
     return np.polynomial.Polynomial(terms)
@@ -23,7 +23,7 @@ def smoothed_power(degree, sd):
 
 @pytest.mark.parametrize("sd_px", WIDTHS_PX)
 @pytest.mark.parametrize("order", ORDERS)
-def test_polynomials_give_what_the_continuous_filter_gives(order, sd_px):
+def test_polynomials_are_filtered_as_by_the_continuous_filter(order, sd_px):
     kernel = gaussian_derivative(order, sd_px)
     x = np.arange(-30.0, 31.0)
     for degree in range(MAX_ORDER + 1):
@@ -48,11 +48,11 @@ def test_23_taps_at_one_and_a_half_px_are_the_analytic_derivative(order):
     kernel = gaussian_derivative(order, 1.5, radius=11)
     assert_allclose(
         kernel, analytic, atol=1e-7 * np.abs(analytic).max()
-    )  # the correction is of the cut tails only
+    )  # the correction restores the cut tails only
 
 
 @pytest.mark.parametrize(("sd_px", "tolerance"), [(0.5, 0.15), (0.7, 0.07), (1.5, 0.01), (3.0, 0.01)])
-def test_low_frequencies_answer_as_under_a_gaussian(sd_px, tolerance):
+def test_the_response_at_low_frequencies_is_that_of_a_gaussian(sd_px, tolerance):
     for order in ORDERS:
         kernel = gaussian_derivative(order, sd_px)
         at = np.arange(kernel.size) - kernel.size // 2
@@ -76,7 +76,7 @@ def test_few_taps_keep_the_lowest_moments():
     )  # variance 0.25 px^2
 
 
-def test_a_kernel_is_the_callers_own():
+def test_each_call_returns_its_own_kernel():
     kernel = gaussian_derivative(1, 1.0)
     kernel[:] = 0
     assert gaussian_derivative(1, 1.0).any()
@@ -124,7 +124,7 @@ def test_up_to_lists_every_order_once():
         (4, 1.0, 1, "radius is 1 px; expected at least 2 px"),
     ],
 )
-def test_what_cannot_be_a_kernel_is_refused(order, sd_px, radius, message):
+def test_impossible_kernels_are_refused(order, sd_px, radius, message):
     with pytest.raises(BadInput, match=message):
         gaussian_derivative(order, sd_px, radius=radius)
 

@@ -1,4 +1,4 @@
-"""Laws of unfolding: no cell is turned over, what was in order stays, and what lies far from a fold is not touched."""
+"""Laws of unfolding: no cell is flipped, ordered fields stay, and pixels far from a fold do not change."""
 
 import cv2
 import numpy as np
@@ -14,14 +14,14 @@ from morphspace.synthetic.warped import astronaut_face, flow_pair
 
 
 def torn(height, width, right_px, left_px):
-    """A field (h, w, 2) of two halves that cross: the left one goes right, the right one left."""
+    """Draw a field (h, w, 2) of two halves that cross: the left one moves right, the right one left."""
     field = np.zeros((height, width, 2), np.float32)
     field[:, : width // 2, 0], field[:, width // 2 :, 0] = right_px, -left_px
     return field
 
 
 @pytest.mark.parametrize("seed", range(4))
-def test_a_field_without_folds_comes_back_as_it_is(wavy_field, seed):
+def test_a_field_without_folds_is_unchanged(wavy_field, seed):
     field = wavy_field(60, 50, 4.0, seed=seed, sd_px=9.0)
     assert warp.determinants(field).min() > LEAST_DETERMINANT
     before = field.copy()
@@ -79,30 +79,30 @@ def test_a_gentle_field_has_no_suspects_and_a_torn_one_few(wavy_field):
 @given(
     st.integers(16, 110), st.integers(16, 110), st.floats(1, 15), st.floats(0.5, 60), st.integers(0, 10**6)
 )
-def test_any_smooth_field_comes_back_without_folds(wavy_field, height, width, sd_px, amplitude_px, seed):
+def test_any_smooth_field_is_unfolded(wavy_field, height, width, sd_px, amplitude_px, seed):
     field = wavy_field(height, width, amplitude_px, seed=seed, sd_px=sd_px)
     before = field.copy()
     result = unfolded(field)
     assert result.dtype == np.float32
     assert result.shape == field.shape
     assert warp.determinants(result).min() >= LEAST_DETERMINANT
-    assert np.abs(result).max() <= amplitude_px * (1 + 1e-5)  # means of what was there
-    assert_array_equal(field, before)  # the caller's own
+    assert np.abs(result).max() <= amplitude_px * (1 + 1e-5)  # means of the values
+    assert_array_equal(field, before)  # the input is unchanged
 
 
 @settings(max_examples=20, deadline=None, derandomize=True)
 @given(st.integers(16, 80), st.integers(16, 80), st.floats(0.5, 20), st.integers(0, 10**6))
-def test_noise_comes_back_without_folds(height, width, sd_px, seed):
+def test_noise_is_unfolded(height, width, sd_px, seed):
     field = sd_px * np.random.default_rng(seed).standard_normal((height, width, 2))
     assert warp.determinants(unfolded(field.astype(np.float32))).min() >= LEAST_DETERMINANT
 
 
 @pytest.mark.parametrize("apart_px", [1.0, 2.0, 6.0, 12.0])
-def test_two_sheets_that_cross_are_drawn_together(apart_px):
+def test_two_sheets_that_cross_are_put_in_order(apart_px):
     field = torn(64, 96, apart_px / 2, apart_px / 2)
     result = unfolded(field)
     assert warp.determinants(field).min() < LEAST_DETERMINANT <= warp.determinants(result).min()
-    assert (np.diff(result[..., 0], axis=1) <= 1e-5).all()  # from right to left, once
+    assert (np.diff(result[..., 0], axis=1) <= 1e-5).all()  # one ordered step from right to left
     assert_allclose(result[..., 1], 0, atol=1e-6)
 
 
@@ -121,7 +121,7 @@ def test_what_lies_far_from_a_fold_is_unchanged(wavy_field):
     assert np.abs(result - folded)[near].max() > 0.5
 
 
-def test_a_fold_at_the_border_is_taken_out_too():
+def test_a_fold_at_the_border_is_removed():
     for edge in (np.s_[0, 20], np.s_[-1, 20], np.s_[20, 0], np.s_[20, -1]):
         field = np.zeros((40, 40, 2), np.float32)
         field[edge] = (5.0, 5.0) if edge[0] == 0 or edge[1] == 0 else (-5.0, -5.0)
@@ -130,7 +130,7 @@ def test_a_fold_at_the_border_is_taken_out_too():
 
 
 def test_turned_and_transposed_fields_are_unfolded_alike(wavy_field):
-    """Not mirrored ones: cells are split along one of their diagonals, which a mirror exchanges."""
+    """Mirrored fields differ: a mirror exchanges the diagonal along which cells are split."""
     field = wavy_field(60, 50, 14.0, seed=2, sd_px=6.0)
     result = unfolded(field)
     assert_allclose(-unfolded(np.ascontiguousarray(-field[::-1, ::-1]))[::-1, ::-1], result, atol=1e-3)

@@ -1,6 +1,6 @@
-"""Laws of the video form: drifting patterns whose motion is known by algebra, drawn as sums of cosines.
+"""Laws of the video form: drifting patterns with algebraic motion, drawn as sums of cosines.
 
-A pattern is evaluated at the positions its points came from, so that the truth is exact and no interpolation enters.
+A pattern is evaluated at the earlier positions of its points, so that the truth is exact and no interpolation enters.
 """
 
 import numpy as np
@@ -12,13 +12,13 @@ from morphspace.flow.motion import SPACE_TERMS, TAPS, Motion, motion, taylor_wei
 
 SIDE = 56
 AT = 12  # the one frame of a clip of 23 that has a full window
-INSIDE = slice(12, -12)  # 7 px of filters, and what the average over products brings in from there
+INSIDE = slice(12, -12)  # 7 px of filters, and the reach of the average over products
 Y, X = np.mgrid[:SIDE, :SIDE] - (SIDE - 1) / 2
 GRATING_PX = 11.0  # wavelength
 
 
 def clip_of(waves, back, frames=TAPS, contrast=0.2, mean=0.5):
-    """The pattern (waves: k_x, k_y, phase, amplitude) seen through `back`: positions at time t -> where they were."""
+    """Draw the pattern (waves: k_x, k_y, phase, amplitude) at `back`: positions at time t -> earlier ones."""
     kx, ky, phase, amplitude = (np.asarray(each, float)[:, None, None] for each in waves)
     amplitude = amplitude / np.sqrt((amplitude**2).sum() / 2)
 
@@ -60,7 +60,7 @@ def plaid(velocity, one_degrees, other_degrees, **drawing):
 
 
 def texture(back, seed=0, **drawing):
-    """A broadband pattern: 60 waves of 6 to 40 px, amplitude as their length, all directions."""
+    """Draw a broadband pattern: 60 waves of 6 to 40 px in all directions, with an amplitude proportional to length."""
     rng = np.random.default_rng(seed)
     k, angle = (
         np.exp(rng.uniform(np.log(2 * np.pi / 40), np.log(2 * np.pi / 6), 60)),
@@ -80,7 +80,7 @@ def inside(found: Motion):
 
 
 def worst(velocity, truth):
-    """The largest error in speed, as a share, and in direction, in degrees."""
+    """Return the largest error in speed, as a share, and in direction, in degrees."""
     found, right = velocity[..., 0] + 1j * velocity[..., 1], truth[0] + 1j * truth[1]
     return np.abs(np.abs(found / right) - 1).max(), np.degrees(np.abs(np.angle(found / right))).max()
 
@@ -88,7 +88,7 @@ def worst(velocity, truth):
 # ---------------------------------------------------------------------------------------------- kernels
 
 
-def test_kernels_in_time_are_derivatives_of_a_log_gaussian():
+def test_temporal_kernels_are_derivatives_of_a_log_gaussian():
     def closed(t):
         return np.exp(-((np.log(t / 10) / 0.2) ** 2)) / (np.sqrt(np.pi) * 10 * 0.2 * np.exp(0.01))
 
@@ -100,7 +100,7 @@ def test_kernels_in_time_are_derivatives_of_a_log_gaussian():
     assert_array_equal(temporal_kernels()[:, 0], 0)
 
 
-def test_kernels_in_time_see_no_change_in_what_stays():
+def test_temporal_kernels_have_no_response_to_a_static_clip():
     assert_allclose(temporal_kernels().sum(axis=1), [1, 0, 0], atol=1e-15)
     assert temporal_kernels()[0].argmax() == 10
 
@@ -143,7 +143,7 @@ def test_a_drifting_grating_moves_along_its_normal(speed, degrees):
 def test_a_drifting_plaid_moves_as_one_pattern(velocity, degrees):
     speed_error, direction_error = worst(inside(motion(plaid(velocity, *degrees))), velocity)
     assert speed_error < 0.005  # goal 0.03
-    assert direction_error < 0.5  # degrees; goal 1; the blend takes a little of it where one wave is weak
+    assert direction_error < 0.5  # degrees; goal 1; the blend errs slightly where one wave is weak
 
 
 @pytest.mark.parametrize("velocity", [(0.5, 0.3), (-1.5, 0.5), (0.03, -0.04), (0.0, 2.5)])
@@ -156,11 +156,11 @@ def test_a_drifting_texture_moves_at_every_point(velocity, seed):
     assert found.confidence[AT, INSIDE, INSIDE].min() > 0.99
 
 
-def test_the_first_form_is_exact_on_gratings_and_astray_on_plaids():
+def test_the_first_form_is_exact_on_gratings_and_wrong_on_plaids():
     first = motion(grating(0.5, 40), plane=np.inf)
     assert worst(inside(first), velocity_of(0.5, 40))[0] < 0.002
     error = worst(inside(motion(plaid((0.6, 0.4), 0, 90), plane=np.inf)), (0.6, 0.4))
-    assert 0.02 < error[0] < 0.3  # share; what the outer form is for
+    assert 0.02 < error[0] < 0.3  # share; the outer form corrects it
     assert 5 < error[1] < 40  # degrees
 
 
@@ -177,13 +177,13 @@ def test_settings_do_not_change_what_is_exact(setting):
 
 
 @pytest.mark.parametrize("back", [rotation(0.02), expansion(0.02)], ids=["rotation", "expansion"])
-def test_turning_and_growing_textures_move_as_their_field_says(back):
+def test_turning_and_growing_textures_have_their_velocity_field(back):
     x, y = X[INSIDE, INSIDE], Y[INSIDE, INSIDE]
     before, after = back(x, y, -0.5), back(x, y, 0.5)
     truth = np.stack([before[0] - after[0], before[1] - after[1]], axis=-1)
     for seed in (2, 3):
         found = inside(motion(texture(back, seed)))
-        # the model has one velocity for all derivatives of a point: it errs by the field's change over some 2 px
+        # one velocity for all derivatives of a point errs by the field's change over some 2 px
         assert np.linalg.norm(found - truth, axis=-1).mean() < 3 * 0.02
         rate = (found * truth).sum() / (truth * truth).sum()
         assert rate == pytest.approx(1, abs=0.15), seed  # of the true turn or growth
@@ -206,16 +206,14 @@ def test_gain_and_offset_do_not_change_velocity():
 
 
 def test_turning_the_clip_by_a_right_angle_turns_the_velocity():
-    clip = (
-        np.random.default_rng(0).random((TAPS, SIDE, SIDE)).astype(np.float32)
-    )  # no pattern that moves as one
+    clip = np.random.default_rng(0).random((TAPS, SIDE, SIDE)).astype(np.float32)  # no coherent pattern
     found = motion(clip).velocity[AT]
     turned = motion(np.rot90(clip, axes=(1, 2))).velocity[AT]
     straight = np.rot90(turned, -1)
     assert_allclose(np.stack([-straight[..., 1], straight[..., 0]], -1), found, atol=2e-3)
 
 
-def test_a_texture_at_rest_has_no_velocity_and_is_trusted():
+def test_a_static_texture_has_zero_velocity_with_confidence():
     found = motion(texture(drift(0, 0)))
     assert np.abs(found.velocity).max() < 1e-4  # px per frame; rounding
     assert found.confidence[AT, INSIDE, INSIDE].min() > 0.99
@@ -235,7 +233,7 @@ def test_flicker_without_pattern_has_no_velocity():
     assert found.confidence.max() < 1e-3
 
 
-def test_noise_is_trusted_less_than_a_pattern():
+def test_noise_has_less_confidence_than_a_pattern():
     clip = np.random.default_rng(0).random((TAPS, SIDE, SIDE)).astype(np.float32)
     assert np.median(motion(clip).confidence[AT, INSIDE, INSIDE]) < 0.5
     assert np.isfinite(motion(clip).velocity).all()
@@ -253,7 +251,7 @@ def test_frames_without_a_full_window_have_no_confidence():
     assert_array_equal(np.flatnonzero(found.velocity.any(axis=(1, 2, 3))), [12, 13, 14, 15])
 
 
-def test_a_velocity_rests_on_its_window_alone():
+def test_a_velocity_depends_on_its_window_only():
     clip = texture(rotation(0.02), frames=26)
     whole, part = motion(clip), motion(clip[2:25])
     assert_array_equal(whole.velocity[14], part.velocity[12])
@@ -268,7 +266,7 @@ def test_a_velocity_belongs_to_its_frame():
     assert_allclose(frames, -0.3, atol=0.3)  # frames; the kernel has its peak 10 frames back, its centre 10.3
 
 
-def test_confidence_falls_to_nothing_at_the_edge():
+def test_confidence_falls_to_zero_at_the_edge():
     found = motion(grating(0.5, 90)).confidence[AT]
     assert_array_equal(found[[0, -1]], 0)
     assert_array_equal(found[:, [0, -1]], 0)
@@ -304,12 +302,12 @@ def test_a_clip_that_is_not_finite_is_refused(bad):
     "setting",
     [{"zone_sd_px": -1.0}, {"plane": 0.0}, {"least_gradient": 0.0}, {"time_scale": np.inf}, {"sd_px": 0.0}],
 )
-def test_settings_without_a_meaning_are_refused(setting):
+def test_impossible_settings_are_refused(setting):
     with pytest.raises(BadInput):
         motion(np.zeros((23, 20, 20), np.float32), **setting)
 
 
-def test_whole_numbers_are_taken_as_they_are():
+def test_integer_clips_have_the_velocity_of_float_clips():
     clip = np.round(texture(drift(0.5, 0.3)) * 255).astype(np.uint8)
     assert_array_equal(motion(clip).velocity, motion(clip.astype(np.float32)).velocity)
 

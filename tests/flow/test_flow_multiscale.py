@@ -1,4 +1,4 @@
-"""Laws of the registration form: known motions are found, light and order change nothing, bad input is refused."""
+"""Laws of the registration flow: known motions are found, light and order change nothing, bad input is refused."""
 
 import warnings
 from concurrent.futures import ThreadPoolExecutor
@@ -52,7 +52,7 @@ def error(field, pair):
 
 
 def moved(picture, right, down, size=96, seed=3, sd_px=2.0):
-    """A texture, the same with its content `right` and `down` px further, the truth, and where it is seen."""
+    """Draw a texture, its copy moved `right` and `down` px, the true field, and where the copy is visible."""
     edge = max(abs(right), abs(down))
     canvas = picture(size + 2 * edge, size + 2 * edge, seed=seed, sd_px=sd_px)
     cut = np.s_[edge : edge + size]
@@ -68,11 +68,11 @@ def deep_inside(truth):
     return np.minimum(np.minimum(x, width - 1 - x), np.minimum(y, height - 1 - y)) > 3
 
 
-# what is found
+# known motions
 
 
 @pytest.mark.parametrize("name", PRESETS)
-def test_the_flow_of_a_picture_with_itself_is_zero_and_trusted(picture, name):
+def test_the_flow_of_a_picture_with_itself_is_zero_with_confidence(picture, name):
     for image in (face().reference, picture(61, 83)):
         flow = METHODS[name](image)(image, None)
         assert flow.displacement.dtype == flow.confidence.dtype == np.float32
@@ -104,7 +104,7 @@ def test_an_affine_motion_is_found(picture, name, mean_px, matrix):
     assert miss.mean() < mean_px
 
 
-# means of three faces, px; seen: .095 .041 .039, .216 .116 .094, .151 .070 .057
+# means of three faces, px; measured: .095 .041 .039, .216 .116 .094, .151 .070 .057
 @pytest.mark.parametrize(
     ("kind", "peak_px", "most"),
     [
@@ -147,10 +147,10 @@ def test_a_constant_added_to_the_frame_changes_nothing(name, constant):
     change = apart(
         field_of(name, pair.reference, pair.frame + np.float32(constant)), found(name).displacement
     )
-    amplified = 20 if name == "fast" else 1  # rounding, where there is little to see: no pooling
+    amplified = 20 if name == "fast" else 1  # without pooling, rounding matters where texture is weak
     assert np.median(change) < 4e-5 * amplified  # px
     assert np.quantile(change, 0.95) < 2e-4 * amplified
-    assert change.max() < 0.05  # motions that look alike to rounding are exchanged
+    assert change.max() < 0.05  # rivals that are equal to rounding are exchanged
 
 
 @pytest.mark.parametrize(("name", "px"), [("fast", 0.31), ("balanced", 0.16), ("accurate", 0.12)])
@@ -165,7 +165,7 @@ def test_a_gain_changes_little(name, px, gain):
 
 @pytest.mark.parametrize("name", PRESETS)
 def test_mirrored_pictures_give_mirrored_fields(name):
-    """But where one neighbour's motion was taken over before another's, and for the pixels that judge the light."""
+    """Exceptions: rivals are tried in a fixed order, and a fixed grid of pixels measures the light."""
     pair, field = face(), found(name).displacement
     for axis, signs in ((1, LEFT_RIGHT), (0, UP_DOWN)):
         mirrored = field_of(name, np.flip(pair.reference, axis), np.flip(pair.frame, axis))
@@ -176,7 +176,7 @@ def test_mirrored_pictures_give_mirrored_fields(name):
 
 @pytest.mark.parametrize("name", PRESETS)
 def test_transposed_pictures_give_transposed_fields(name):
-    """But for the smoother, which takes rows before columns."""
+    """Exception: the smoother filters rows before columns."""
     pair, field = face(), found(name).displacement
     transposed = field_of(name, pair.reference.transpose(1, 0, 2), pair.frame.transpose(1, 0, 2))
     change = apart(transposed.transpose(1, 0, 2)[..., ::-1], field)
@@ -196,8 +196,8 @@ def test_grey_pictures_are_repeated(name):
     assert_array_equal(field_of(name, repeated[0], frame), alone)
 
 
-def test_colour_tells_what_grey_does_not(picture):
-    """A red and a green texture of one luma: only a preset that looks at colours sees it move."""
+def test_colour_finds_motion_that_grey_does_not(picture):
+    """A red and a green texture of equal luma: only presets that compare colours find its motion."""
     canvas = picture(70, 70, seed=5)[..., 0] - np.float32(0.5)
     image = np.stack([0.5 + canvas * 0.587 / 0.299, 0.5 - canvas, 0 * canvas], axis=-1)
     reference, frame = image[3:67, 3:67], image[3:67, 1:65]
@@ -223,7 +223,7 @@ def test_a_camera_that_moved_by_a_fifth_is_followed(picture, name, right, down):
     assert np.quantile(miss, 0.9) < 1  # the rest lies beside what has left the frame
 
 
-def test_one_shift_is_taken_only_where_it_makes_pictures_alike(picture):
+def test_a_global_shift_is_used_only_if_it_aligns_the_pictures(picture):
     def planes(image):
         out = 255 * np.ascontiguousarray(image.transpose(2, 0, 1))
         return out - np.median(out, axis=(1, 2), keepdims=True)
@@ -240,8 +240,10 @@ def test_one_shift_is_taken_only_where_it_makes_pictures_alike(picture):
 
 
 @pytest.mark.parametrize("name", PRESETS)
-def test_a_right_start_is_taken_up_where_coarse_to_fine_is_lost(picture, wavy_field, name, monkeypatch):
-    monkeypatch.setattr(multiscale, "shift_between", lambda reference, frame: None)  # it would find this one
+def test_a_correct_start_is_used_where_coarse_to_fine_fails(picture, wavy_field, name, monkeypatch):
+    monkeypatch.setattr(
+        multiscale, "shift_between", lambda reference, frame: None
+    )  # it would find this motion
     reference, frame, truth, inside = moved(picture, 30, 0, size=112, sd_px=2.0)
     rough = truth + wavy_field(112, 112, 1.0, seed=8, sd_px=8.0)
     to_frame = METHODS[name](reference)
@@ -265,29 +267,29 @@ def test_a_start_is_tried_on_a_long_strip(picture, name):
 
 
 @pytest.mark.parametrize("name", PRESETS)
-def test_a_picture_of_one_scale_is_not_undershot(picture, name):
+def test_a_picture_of_one_scale_is_matched_in_full(picture, name):
     canvas = picture(18, 302, seed=6)
     reference, frame = (np.ascontiguousarray(image) for image in (canvas[1:-1, 2:], canvas[1:-1, :-2]))
     assert_allclose(np.median(field_of(name, reference, frame), axis=(0, 1)), (2, 0), atol=0.05)
 
 
 @pytest.mark.parametrize("name", PRESETS)
-def test_pictures_that_have_nothing_in_common_are_not_trusted(picture, name):
+def test_unrelated_pictures_have_low_confidence(picture, name):
     reference, frame = picture(128, 128, seed=1), picture(128, 128, seed=2)
     assert METHODS[name](reference)(frame, None).confidence.mean() < 0.3
     assert METHODS[name](reference)(reference, None).confidence.mean() > 0.9
 
 
 @pytest.mark.parametrize("name", PRESETS)
-def test_what_has_left_the_frame_is_not_trusted(picture, name):
+def test_points_outside_the_frame_have_no_confidence(picture, name):
     reference, frame, _, _ = moved(picture, 6, 0)
     confidence = METHODS[name](reference)(frame, None).confidence
     assert confidence[:, -5:].mean() < 0.25
     assert confidence[8:-8, 8:-12].mean() > 0.8
 
 
-def test_a_start_finds_skin_that_went_far(picture):
-    """For the quickest preset; the others find most of it by themselves."""
+def test_a_start_finds_large_motions_of_skin(picture):
+    """For the fastest preset; the others find most of it without a start."""
     y, x = np.mgrid[:160, :160].astype(np.float32)
     bump = 42 * np.exp(-((x - 70) ** 2 + (y - 80) ** 2) / (2 * 24.0**2))
     truth = np.stack([bump, 0 * bump], axis=-1)
@@ -301,7 +303,7 @@ def test_a_start_finds_skin_that_went_far(picture):
 
 
 @pytest.mark.parametrize("name", PRESETS)
-def test_a_wrong_start_does_no_harm(wavy_field, name):
+def test_a_wrong_start_does_not_increase_the_error(wavy_field, name):
     pair = face()
     rng = np.random.default_rng(0)
     alone = error(found(name).displacement, pair)
@@ -334,7 +336,7 @@ def test_a_start_that_cannot_be_used_is_refused(name):
     assert_array_equal(to_frame(pair.frame, pair.truth.astype(np.float64)).displacement.shape, (64, 64, 2))
 
 
-# the same again
+# reproducibility
 
 
 def same_bytes(one, other):
@@ -345,7 +347,7 @@ def same_bytes(one, other):
 
 
 @pytest.mark.parametrize("name", OURS)
-def test_a_reference_prepared_once_gives_the_bytes_of_one_prepared_afresh(name):
+def test_reusing_a_reference_does_not_change_a_byte(name):
     pairs = [face(kind, 3.0, seed, 64) for kind, seed in (("smooth", 0), ("mouth", 1), ("lit", 2))]
     reference = pairs[0].reference
     keep = reference.copy()
@@ -357,12 +359,12 @@ def test_a_reference_prepared_once_gives_the_bytes_of_one_prepared_afresh(name):
     for pair, flow, field in zip(pairs, first, kept, strict=True):
         assert same_bytes(prepared(pair.frame, None), flow)
         assert same_bytes(METHODS[name](reference.copy())(pair.frame.copy(), None), flow)
-        assert_array_equal(flow.displacement, field)  # nobody wrote into what was given away
+        assert_array_equal(flow.displacement, field)  # the results are independent arrays
     assert_array_equal(reference, keep)
 
 
 @pytest.mark.parametrize("name", OURS)
-def test_threads_give_the_bytes_of_one(name):
+def test_threads_do_not_change_a_byte(name):
     pairs = [face("smooth", 3.0, seed, 60) for seed in range(3)]
     prepared = METHODS[name](pairs[0].reference)
     alone = [prepared(pair.frame, None) for pair in pairs]
@@ -372,10 +374,10 @@ def test_threads_give_the_bytes_of_one(name):
             assert all(same_bytes(*both) for both in zip(alone, together, strict=True))
 
 
-def test_a_smoother_serves_threads_at_once():
+def test_a_smoother_can_be_used_by_several_threads():
     rng = np.random.default_rng(0)
     backend = OpenCVBackend()
-    guide = 255 * rng.random((3, 210, 166), np.float32)  # neither side a multiple of what is done in one go
+    guide = 255 * rng.random((3, 210, 166), np.float32)  # neither side is a multiple of a strip
     smooth = backend.smoother(guide, 30.0, 10.0)
     planes = [rng.random((2, 210, 166), np.float32) for _ in range(6)]
     alone = [smooth(each) for each in planes]
@@ -460,7 +462,7 @@ def drawn(kind, height, width, rng):
 
 
 def sound(name, reference, frame, start=None):
-    """The flow, after every law that holds for any two pictures; numpy's slips raise. Underflow is none."""
+    """Compute the flow and check every law of two arbitrary pictures; numpy errors raise, except underflow."""
     with np.errstate(divide="raise", invalid="raise", over="raise"), warnings.catch_warnings():
         warnings.simplefilter("error")
         flow = METHODS[name](reference)(frame, start)
@@ -470,7 +472,7 @@ def sound(name, reference, frame, start=None):
     assert flow.displacement.dtype == flow.confidence.dtype == np.float32
     assert np.isfinite(flow.displacement).all()
     assert np.abs(flow.displacement).max() <= 2 * max(height, width)
-    assert 0 <= flow.confidence.min() <= flow.confidence.max() <= 1  # and so not NaN
+    assert 0 <= flow.confidence.min() <= flow.confidence.max() <= 1  # and not NaN
     return flow
 
 
@@ -501,7 +503,7 @@ def test_any_two_pictures_give_finite_fields_without_folds(name, size, one, othe
 
 @pytest.mark.parametrize("size", [(16, 300), (300, 16), (17, 97), (31, 33)])
 @pytest.mark.parametrize("name", PRESETS)
-def test_odd_and_narrow_pictures_are_matched_as_well(picture, name, size):
+def test_odd_and_narrow_pictures_are_matched(picture, name, size):
     canvas = picture(size[0] + 2, size[1] + 2, seed=2)
     reference, frame = (np.ascontiguousarray(image) for image in (canvas[1:-1, 1:-1], canvas[1:-1, :-2]))
     field = sound(name, reference, frame).displacement
@@ -510,7 +512,7 @@ def test_odd_and_narrow_pictures_are_matched_as_well(picture, name, size):
 
 @pytest.mark.parametrize("nothing", ["white", "black", "grey", "below half a code"])
 @pytest.mark.parametrize("name", OURS)
-def test_where_nothing_can_be_seen_flow_and_confidence_are_zero(picture, name, nothing):
+def test_flow_and_confidence_of_flat_pictures_are_zero(picture, name, nothing):
     image = picture(40, 50)
     flat = np.full_like(image, {"white": 1.0, "black": 0.0}.get(nothing, 0.4))
     if nothing == "below half a code":

@@ -1,4 +1,4 @@
-"""Laws of the authors' flow as reconstructed: self, direction, gain, and never a bad number."""
+"""Laws of the reconstructed flow of Nagle et al.: zero, direction and gain, and only finite numbers."""
 
 import warnings
 
@@ -16,7 +16,7 @@ HEIGHT, WIDTH = 96, 80
 
 
 def moved(picture, seed, right=3, down=-2):
-    """A texture and the same with its content `right` and `down` px further."""
+    """Draw a texture and its copy moved `right` and `down` px."""
     canvas = picture(HEIGHT + 10, WIDTH + 10, seed=seed, sd_px=2.0)
     rows, columns = slice(5 - down, HEIGHT + 5 - down), slice(5 - right, WIDTH + 5 - right)
     return np.ascontiguousarray(canvas[5:-5, 5:-5]), np.ascontiguousarray(canvas[rows, columns])
@@ -26,7 +26,7 @@ def distance(field, truth):
     return np.hypot(*np.moveaxis(field - truth, -1, 0))
 
 
-def test_flow_of_a_picture_with_itself_is_zero_and_trusted(picture):
+def test_flow_of_a_picture_with_itself_is_zero_with_confidence(picture):
     image = picture(HEIGHT, WIDTH)
     flow = paper.method(image)(image, None)
     assert flow.displacement.shape == (HEIGHT, WIDTH, 2)
@@ -41,7 +41,7 @@ def test_a_translation_of_a_texture_is_found(picture, right, down):
         reference, frame = moved(picture, seed, right, down)
         flow = paper.method(reference)(frame, None)
         miss = distance(flow.displacement, (right, down))[15:-15, 15:-15]
-        assert np.median(miss) < 0.2  # px; seen: up to 0.13
+        assert np.median(miss) < 0.2  # px; measured: up to 0.13
         assert np.percentile(miss, 95) < 0.5
         assert flow.confidence[15:-15, 15:-15].mean() > 0.95
 
@@ -62,10 +62,10 @@ def test_gain_and_offset_of_both_pictures_change_nothing(picture):
         assert_allclose(after.confidence, before.confidence, atol=1e-4)
 
 
-def test_texture_fills_what_is_flat_beside_it_and_is_not_diluted(picture):
+def test_texture_fills_flat_regions_and_is_not_diluted(picture):
     image = picture(HEIGHT, WIDTH)[..., 1] - np.float32(0.5)
     half = WIDTH // 2
-    image[:, half:] = 0  # nothing there, and so no motion that could be seen
+    image[:, half:] = 0  # flat, without measurable motion
     step = np.zeros((HEIGHT, WIDTH, 2), np.float32)
     step[:, :half] = 2
     carried = paper._filled(step, image)[..., 0].mean(axis=0)
@@ -73,7 +73,7 @@ def test_texture_fills_what_is_flat_beside_it_and_is_not_diluted(picture):
     assert carried[half:].sum() > 10  # with equal weights 4.6
 
 
-def test_where_all_is_flat_filling_keeps_a_constant_field():
+def test_filling_a_flat_picture_keeps_a_constant_field():
     step = np.full((HEIGHT, WIDTH, 2), 1.5, np.float32)
     assert_allclose(paper._filled(step, np.zeros((HEIGHT, WIDTH), np.float32)), 1.5, rtol=1e-4)
 
@@ -135,11 +135,11 @@ def test_any_two_pictures_give_finite_numbers(height, width, one, other, seed):
     assert flow.displacement.shape == (height, width, 2)
     assert np.isfinite(flow.displacement).all()
     assert flow.confidence.shape == (height, width)
-    assert 0 <= flow.confidence.min() <= flow.confidence.max() <= 1  # and so not NaN
+    assert 0 <= flow.confidence.min() <= flow.confidence.max() <= 1  # and not NaN
 
 
 @pytest.mark.parametrize("nothing", ["white", "black", "isoluminant"])
-def test_where_nothing_can_be_seen_flow_and_confidence_are_zero(picture, nothing):
+def test_flow_and_confidence_of_flat_pictures_are_zero(picture, nothing):
     flat = drawn(nothing, HEIGHT, WIDTH, np.random.default_rng(0))
     for one, other in ((flat, picture(HEIGHT, WIDTH)), (picture(HEIGHT, WIDTH), flat)):
         flow = paper.method(one)(other, None)

@@ -1,4 +1,4 @@
-"""Laws of the choice among starts: never a larger error, never beyond the fold limit, the first when in doubt."""
+"""Laws of the choice among starts: never a larger error or more folds than the limit; the first in doubt."""
 
 import numpy as np
 import pytest
@@ -15,7 +15,7 @@ MASK = np.ones((HEIGHT, WIDTH), np.float32)
 
 @pytest.fixture
 def moved(picture, wavy_field):
-    """A reference, a frame, and the field between them."""
+    """Draw a reference, a frame, and the field between them."""
     reference = picture(HEIGHT, WIDTH, seed=4, sd_px=2.5)
     truth = wavy_field(HEIGHT, WIDTH, 4.0, seed=3, sd_px=10.0)
     return reference, warp.render(reference, truth), truth
@@ -26,13 +26,13 @@ def flow_of(field):
 
 
 def folded(field, cells):
-    """The field with so many cells of one row turned over, where neighbours stand far apart."""
+    """Flip some cells in one row of a field, far from each other."""
     broken = field.copy()
     broken[20, 4 : 4 + 3 * cells : 3, 0] += 3.0
     return broken
 
 
-def test_the_error_is_what_the_warped_frame_misses_inside_the_mask(moved):
+def test_the_error_is_the_rms_difference_of_the_warped_frame_inside_the_mask(moved):
     reference, frame, truth = moved
     weight = np.random.default_rng(0).uniform(0, 1, MASK.shape).astype(np.float32)
     square = np.square(warp.sample(frame, truth) - reference).mean(axis=2)
@@ -42,14 +42,14 @@ def test_the_error_is_what_the_warped_frame_misses_inside_the_mask(moved):
     assert photometric_error(reference, frame, 0 * truth, 0 * MASK) == 0
 
 
-def test_the_field_that_explains_the_frame_is_taken_wherever_it_stands(moved):
+def test_the_field_of_least_error_is_chosen_in_any_order(moved):
     reference, frame, truth = moved
     flows = [flow_of(share * truth) for share in (0.0, 0.5, 1.0, 0.8)]
     assert better(reference, frame, flows, MASK) is flows[2]
     assert better(reference, frame, flows[::-1], MASK) is flows[2]
 
 
-def test_the_first_stands_where_another_is_not_clearly_better(moved):
+def test_the_first_field_is_kept_unless_another_is_clearly_better(moved):
     reference, frame, truth = moved
     error = {share: photometric_error(reference, frame, share * truth, MASK) for share in (0.8, 0.801, 0.85)}
     assert CLEARLY * error[0.8] < error[0.801] < error[0.8]
@@ -60,7 +60,7 @@ def test_the_first_stands_where_another_is_not_clearly_better(moved):
     assert better(reference, frame, [first], MASK) is first
 
 
-def test_a_smaller_error_is_not_bought_by_folding(moved):
+def test_a_smaller_error_with_more_folds_is_not_chosen(moved):
     reference, frame, truth = moved
     first, over = flow_of(0 * truth), folded(truth, 16)
     assert warp.fold_fraction(over, MASK) > FOLD_LIMIT
@@ -74,11 +74,11 @@ def test_a_smaller_error_is_not_bought_by_folding(moved):
     assert better(reference, frame, [first, within], MASK) is within
 
 
-def test_a_field_that_folds_gives_way_to_one_that_does_not_at_an_equal_error(moved):
+def test_at_equal_error_the_field_without_folds_is_chosen(moved):
     reference, frame, truth = moved
     first = folded(truth, 16)
     error = photometric_error(reference, frame, first, MASK)
-    shares = np.linspace(0.5, 1, 501)  # the less of the truth, the larger the error
+    shares = np.linspace(0.5, 1, 501)  # a smaller share of the truth has a larger error
     errors = np.array([photometric_error(reference, frame, share * truth, MASK) for share in shares]) / error
     equal, worse = (shares[np.abs(errors - ratio).argmin()] * truth for ratio in (0.99, 1.02))
     first, equal, worse = flow_of(first), flow_of(equal), flow_of(worse)
@@ -104,7 +104,7 @@ def test_the_choice_never_raises_the_error_nor_passes_the_fold_limit(moved, wavy
     assert warp.fold_fraction(chosen, MASK) <= max(FOLD_LIMIT, warp.fold_fraction(first, MASK))
 
 
-def test_what_lies_outside_the_mask_decides_nothing(moved):
+def test_pixels_outside_the_mask_do_not_influence_the_choice(moved):
     reference, frame, truth = moved
     upper = MASK.copy()
     upper[HEIGHT // 2 :] = 0
@@ -161,7 +161,7 @@ def test_the_best_start_is_the_one_whose_flow_explains_the_frame(moved):
 
 
 def landmarks(seed, count=40, margin=-4, height=HEIGHT, width=WIDTH):
-    """Points all over the picture and a little beyond, each 4 px from the next or more."""
+    """Draw points in the picture and slightly outside, at least 4 px from each other."""
     rng = np.random.default_rng(seed)
     points = []
     while len(points) < count:
@@ -172,7 +172,7 @@ def landmarks(seed, count=40, margin=-4, height=HEIGHT, width=WIDTH):
 
 
 def exact_spline(places, moves, points):
-    """The spline by its definition: r^2 log r about every place and an affine, the moves met, no net pull."""
+    """Compute the spline by its definition: r^2 log r at every place and an affine map, with the side conditions."""
 
     def bends(points):
         square = ((points[:, None] - places) ** 2).sum(axis=2)
@@ -202,7 +202,7 @@ def test_the_spline_goes_through_its_landmarks(seed):
 
 @pytest.mark.parametrize("count", [3, 5, 40])
 @pytest.mark.parametrize(("height", "width"), [(HEIGHT, WIDTH), (61, 163)])
-def test_the_quick_evaluation_is_the_spline_itself(count, height, width):
+def test_the_fast_evaluation_equals_the_spline(count, height, width):
     places = landmarks(count, count, height=height, width=width)
     moves = np.random.default_rng(count).normal(0, 3, places.shape)
     y, x = np.mgrid[:height, :width]
@@ -218,12 +218,12 @@ def test_landmarks_moved_by_an_affine_give_that_affine_everywhere():
         assert_allclose(field, warp.affine_displacement(affine, HEIGHT, WIDTH), atol=1e-3)  # px
 
 
-def test_landmarks_that_did_not_move_give_no_motion():
+def test_landmarks_at_rest_give_a_zero_field():
     places = landmarks(2)
     assert not starts.landmark_spline(places, places, HEIGHT, WIDTH).any()
 
 
-def test_landmarks_at_one_place_go_to_the_mean_of_theirs():
+def test_landmarks_at_one_place_go_to_the_mean_of_their_counterparts():
     places = np.round(landmarks(3, 12, margin=4))
     twice = np.vstack([places, places[:1]])
     apart = np.vstack([places + 1, places[:1] + 3])
@@ -252,14 +252,14 @@ def test_landmarks_at_one_place_go_to_the_mean_of_theirs():
         (np.zeros((0, 2)), np.zeros((0, 2)), "at 0 places"),
     ],
 )
-def test_landmarks_that_make_no_spline_are_refused(places, fellows, mentioned):
+def test_landmarks_without_a_spline_are_refused(places, fellows, mentioned):
     with pytest.raises(BadInput, match=mentioned):
         starts.landmark_spline(np.array(places), np.array(fellows), HEIGHT, WIDTH)
 
 
 def test_a_movement_larger_than_the_search_is_found_from_landmarks(picture):
-    """A patch that moves too far for coarse to fine alone; what landmarks are for."""
-    height, width, side_px, far_px = 160, 160, 32, 34  # it moves by more than its own width
+    """A patch moves too far for the coarse-to-fine search."""
+    height, width, side_px, far_px = 160, 160, 32, 34  # more than its own width
     still = picture(height, width, seed=2, sd_px=12.0)
     patch = 0.2 * picture(side_px, side_px, seed=5, sd_px=1.5) + np.array([0.75, 0.05, 0.05], np.float32)
     reference, frame = still.copy(), still.copy()

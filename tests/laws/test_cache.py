@@ -1,4 +1,4 @@
-"""Laws of kept results: what is kept comes back, damage is noticed, and files of people stay."""
+"""Laws of stored results: they are read unchanged, damage is noticed, and other files stay."""
 
 import os
 import time
@@ -22,14 +22,14 @@ def kept(tmp_path):
     return file
 
 
-def test_a_result_comes_back_bit_for_bit(kept):
+def test_a_result_is_read_bit_for_bit(kept):
     arrays, document = cache.read_result(kept)
     assert document == DOCUMENT and set(arrays) == set(ARRAYS)
     for name, array in arrays.items():
         assert_array_equal(array, ARRAYS[name], strict=True)
 
 
-def test_whatever_a_result_depends_on_gives_it_another_file(tmp_path):
+def test_another_dependency_has_another_file(tmp_path):
     parts = [("a", 1), ("a", 2), ("a", 1, None), ("a", [1]), (["a", 1],), ("a1",), ("a", "1"), ()]
     files = {cache.result_file(tmp_path, *one) for one in parts}
     assert len(files) == len(parts)
@@ -40,7 +40,7 @@ def test_whatever_a_result_depends_on_gives_it_another_file(tmp_path):
 
 @pytest.mark.parametrize("place", [0.02, 0.3, 0.5, 0.999])
 def test_one_wrong_byte_is_noticed(kept, place):
-    """The numbers themselves, too: a file of the right length with other numbers would be blended unseen."""
+    """Also in the numbers: a file of the right length with other numbers would be used unnoticed."""
     content = bytearray(kept.read_bytes())
     content[int(place * len(content))] ^= 1
     kept.write_bytes(content)
@@ -75,13 +75,13 @@ def test_a_result_cut_short_or_missing_is_not_finished(kept, size):
     assert not cache.is_finished(kept)
 
 
-def test_a_container_of_something_else_is_no_result(tmp_path):
+def test_another_container_is_no_result(tmp_path):
     file = cache.result_file(tmp_path, 1)
     write_container(file, ARRAYS, {"format": "morphspace-model"})
     assert not cache.is_finished(file)
 
 
-def test_results_are_forgotten_and_files_of_people_stay(kept):
+def test_forgetting_removes_results_and_no_other_files(kept):
     folder = kept.parent
     for name in (f".{kept.stem}.2gaer3l7.kept", ".morphs.a_b4c5d6.kept"):
         (folder / name).touch()
@@ -96,7 +96,7 @@ def test_results_are_forgotten_and_files_of_people_stay(kept):
     cache.forget(folder)  # nothing is there, and nothing is said
 
 
-def test_a_work_folder_goes_with_success_and_stays_to_resume_from(tmp_path):
+def test_a_work_folder_is_removed_on_success_and_stays_to_resume(tmp_path):
     output = tmp_path / "a.morph"
     with pytest.raises(KeyboardInterrupt), cache.work_folder(None, output) as folder:
         assert folder == tmp_path / "a.morph.work"
@@ -121,7 +121,7 @@ def test_a_given_folder_stays(tmp_path):
     assert cache.is_finished(file) and not (tmp_path / "a.morph.work").exists()
 
 
-def test_what_a_killed_run_left_is_swept_and_what_another_run_writes_is_not(tmp_path):
+def test_files_of_a_killed_run_are_removed_and_those_of_a_running_one_stay(tmp_path):
     folder = tmp_path / "mine"
     folder.mkdir()
     left, written, note = (

@@ -14,19 +14,19 @@ from morphspace.errors import BadInput
 from morphspace.steps import Step, in_order, result_of, using_workers, worker_count
 
 
-def test_the_result_of_steps_is_what_they_return_and_each_step_is_told():
+def test_the_result_is_the_return_value_and_each_step_is_reported():
     def work():
         for done in (1, 2):
             yield Step("some", done, 2)
         return "finished"
 
-    told = []
-    assert result_of(work(), told.append) == "finished"
-    assert told == [Step("some", 1, 2), Step("some", 2, 2)]
+    reported = []
+    assert result_of(work(), reported.append) == "finished"
+    assert reported == [Step("some", 1, 2), Step("some", 2, 2)]
     assert result_of(work()) == "finished"
 
 
-def test_results_come_in_the_order_of_the_items_and_few_are_under_way():
+def test_results_come_in_the_order_of_the_items_and_few_are_in_progress():
     taken = []
 
     def items():
@@ -43,20 +43,20 @@ def test_results_come_in_the_order_of_the_items_and_few_are_under_way():
 
 @pytest.fixture
 def own_threads():
-    """OpenCV with three threads of its own, whatever the machine has."""
+    """Give OpenCV three threads, on any machine."""
     before = cv2.getNumThreads()
     cv2.setNumThreads(3)
     yield cv2.getNumThreads
     cv2.setNumThreads(before)
 
 
-def test_threads_go_over_the_items_and_not_inside_them(own_threads):
+def test_threads_work_on_items_and_not_inside_them(own_threads):
     assert own_threads() == 3
     assert list(in_order(lambda item: own_threads(), range(5))) == 5 * [1]
     assert own_threads() == 3
 
 
-def test_the_threads_come_back_after_a_failure_and_when_nobody_asks_on(own_threads):
+def test_the_thread_limit_is_restored_after_a_failure_and_an_abandoned_loop(own_threads):
     with pytest.raises(ZeroDivisionError):
         list(in_order(lambda item: 1 // item, range(3)))
     assert own_threads() == 3
@@ -67,7 +67,7 @@ def test_the_threads_come_back_after_a_failure_and_when_nobody_asks_on(own_threa
     assert own_threads() == 3
 
 
-def test_the_threads_come_back_with_the_last_of_several_loops(own_threads):
+def test_the_thread_limit_is_restored_by_the_last_of_several_loops(own_threads):
     first, second = (in_order(lambda item: own_threads(), range(9)) for _ in range(2))
     assert next(first) == next(second) == 1
     first.close()
@@ -102,7 +102,7 @@ def test_there_is_a_worker_for_each_core_this_process_may_use(monkeypatch, cores
     assert worker_count() == cores
 
 
-def test_there_are_fewer_where_their_frames_would_fill_the_memory(monkeypatch, tmp_path):
+def test_there_are_fewer_workers_if_their_frames_would_fill_the_memory(monkeypatch, tmp_path):
     monkeypatch.setattr(os, "sched_getaffinity", lambda _: set(range(64)), raising=False)
     limit = tmp_path / "memory.max"
     monkeypatch.setattr(steps, "MEMORY_LIMIT", limit)
@@ -113,7 +113,7 @@ def test_there_are_fewer_where_their_frames_would_fill_the_memory(monkeypatch, t
     assert worker_count() > 2
 
 
-def test_the_variable_counts_before_the_cores_and_the_block_before_the_variable(monkeypatch):
+def test_the_block_overrides_the_variable_and_the_variable_the_cores(monkeypatch):
     monkeypatch.setenv("MORPHSPACE_WORKERS", " 5 ")
     assert worker_count() == 5
     with using_workers(3):
@@ -138,7 +138,7 @@ def test_no_worker_is_refused():
 
 
 @pytest.mark.parametrize("count", [1, 2, 5])
-def test_as_many_items_are_worked_on_at_a_time_as_there_are_workers(count):
+def test_as_many_items_are_in_progress_as_there_are_workers(count):
     together, most = Barrier(count, timeout=60), []
 
     def work(item):

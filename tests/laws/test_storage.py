@@ -1,6 +1,4 @@
-"""Laws of the container and of writing: what is stored comes back bit for bit, and a file is whole or as it
-was.
-"""
+"""Laws of the container and of writing: contents are read bit for bit, and a file is written whole or not at all."""
 
 import json
 import os
@@ -201,8 +199,8 @@ def test_a_failure_while_writing_leaves_the_old_file_and_nothing_else(tmp_path):
     assert names_in(tmp_path) == ["kept.txt"]
 
 
-def test_a_file_is_on_the_disk_before_it_takes_its_name(tmp_path, monkeypatch):
-    """Else a power cut could leave an empty file under a finished name."""
+def test_a_file_is_flushed_before_it_is_renamed(tmp_path, monkeypatch):
+    """Otherwise a power cut could leave an empty file under the final name."""
     path, lengths = tmp_path / "a.txt", []
 
     def forced(handle):

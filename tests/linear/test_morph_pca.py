@@ -1,4 +1,4 @@
-"""The adapter keeps scikit-learn's rules, and gives the components that the models have."""
+"""The adapter follows scikit-learn's rules and has the components of the models."""
 
 import numpy as np
 import pytest

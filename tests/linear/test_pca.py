@@ -15,7 +15,7 @@ RELATIVE = 1e-5  # float32 components: 6e-8 a number, some hundred numbers a sum
 
 
 def rows_of(seed=0, n=N, d=D, rank=None, offset=0.5):
-    """Rows with falling variances about a mean of `offset`, as colours have it."""
+    """Draw rows with decreasing variances about a mean of `offset`, as colours have."""
     rng = np.random.default_rng(seed)
     rank = n if rank is None else rank
     scale = 0.3 * 0.7 ** np.arange(rank)
@@ -31,7 +31,7 @@ def weights_of(seed=0, d=D):
 
 
 def svd_of(rows, weight):
-    """Mean, components (k, d), variances and loadings of the weighted PCA by SVD in float64, where weight > 0."""
+    """Compute mean, components (k, d), variances and loadings of the weighted PCA by float64 SVD, where weight > 0."""
     rows, root = rows.astype(np.float64), np.sqrt(weight.astype(np.float64))
     offsets = rows - rows.mean(axis=0)
     left, singular, right = np.linalg.svd(offsets * root, full_matrices=False)
@@ -87,7 +87,7 @@ def test_training_loadings_are_the_projections_of_the_rows():
     assert_allclose(basis.project(rows[3] - mean), loadings[3], atol=RELATIVE * np.abs(loadings).max())
 
 
-def test_all_components_give_the_rows_back():
+def test_all_components_reconstruct_the_rows():
     rows = rows_of()
     mean, basis, loadings = fit_basis(RowArray(rows), weights_of(), N)
     assert_allclose(mean + basis.expand(loadings), rows, atol=1e-5)  # columns outside the mask too
@@ -100,10 +100,10 @@ def test_rank_is_less_than_the_number_of_faces():
         assert loadings.shape == (n, n - 1)
 
 
-def test_no_more_components_than_asked_for_or_than_there_are():
+def test_components_are_at_most_those_requested_and_the_rank():
     assert fit_basis(RowArray(rows_of()), weights_of(), 4)[1].rank == 4
     assert fit_basis(RowArray(rows_of()), weights_of(), 0)[1].rank == 0
-    exact = np.round(rows_of(rank=1, offset=0) * 64)  # integers: no rounding pretends to be a component
+    exact = np.round(rows_of(rank=1, offset=0) * 64)  # integers: rounding adds no component
     first, second = exact[0], exact[1]
     few = np.stack([first, second, first + second, first - second, 2 * first, 0 * first])
     assert fit_basis(RowArray(few), np.ones(D, np.float32), 50)[1].rank <= 2
@@ -134,9 +134,9 @@ def test_data_that_vary_only_outside_the_mask_have_rank_zero():
 
 
 def small_beside_large():
-    """Two exact directions; the second has 1e-9 of the variance of the first, 6e-6 a number.
+    """Draw two exact directions; the second has 1e-9 of the variance of the first, 6e-6 a number.
 
-    All numbers are multiples of 2^-24 below 1/2, so that storing them as float32 rounds nothing.
+    All numbers are multiples of 2^-24 below 1/2, so that float32 holds them exactly.
     """
     rng = np.random.default_rng(3)
     n, d = 32, 4096
@@ -151,7 +151,7 @@ def small_beside_large():
     return rows.astype(np.float32), small, (low / tall) ** 2
 
 
-def test_a_tiny_component_survives_that_a_float32_gram_matrix_loses():
+def test_a_tiny_component_survives_where_a_float32_gram_matrix_loses_it():
     rows, small, ratio = small_beside_large()
     weight = np.ones(rows.shape[1], np.float32)
     _, basis, _ = fit_basis(RowArray(rows), weight, 5)
@@ -188,7 +188,7 @@ def test_rows_in_a_file_give_the_same_bits_as_rows_in_memory(tmp_path):
     assert_array_equal(other_loadings, loadings)
 
 
-def test_columns_outside_the_mask_do_not_decide_and_yet_go_along():
+def test_columns_outside_the_mask_are_regressed_on_the_loadings():
     rows, weight = rows_of(), weights_of()
     _, basis, loadings = fit_basis(RowArray(rows), weight, 6)
     inside = weight > 0
@@ -204,7 +204,7 @@ def test_columns_outside_the_mask_do_not_decide_and_yet_go_along():
     assert_allclose(basis.components[:, ~inside], slopes, atol=1e-4)
 
 
-def test_discarded_variance_is_what_numpy_leaves_out_per_dimension():
+def test_discarded_variance_is_the_mean_of_numpys_omitted_variances():
     rows, weight = rows_of(), weights_of()
     _, _, variances, _ = svd_of(rows, weight)
     dimensions = int((weight > 0).sum())
@@ -221,10 +221,10 @@ def test_with_equal_weights_the_discarded_variance_is_the_noise_of_scikit_learn(
 
 
 def test_truncating_is_fitting_fewer_components():
-    """To rounding: LAPACK computes the eigenvectors asked for, and its arithmetic differs with how many those are.
+    """To rounding: LAPACK's arithmetic depends on the number of eigenvectors.
 
-    Eigenvalues are good to float64 rounding of the largest, here at most some thousand times the last: 1e-12 of it.
-    Components are stored as float32, and the float64 difference before may tip the last bit.
+    Eigenvalues are exact to float64 rounding of the largest, here at most some thousand times the last: 1e-12 of it.
+    Components are stored as float32, and the float64 difference may change the last bit.
     """
     rows, weight = rows_of(), weights_of()
     _, basis, _ = fit_basis(RowArray(rows), weight, 11)
@@ -254,7 +254,7 @@ def test_the_face_furthest_along_a_component_lies_on_its_positive_side():
         assert (loadings[furthest, np.arange(loadings.shape[1])] > 0).all()
 
 
-def test_turning_all_data_over_turns_faces_and_components_over_together():
+def test_negating_the_data_negates_the_components():
     rows = rows_of(offset=0)
     _, basis, loadings = fit_basis(RowArray(rows), weights_of(), 6)
     _, other, other_loadings = fit_basis(RowArray(-rows), weights_of(), 6)

@@ -1,4 +1,4 @@
-"""Laws of the posterior: it is the dense formula of Tipping and Bishop, of a part of the offset, with observations."""
+"""Laws of the posterior: the dense formula of Tipping and Bishop, for part of an offset and with observations."""
 
 from dataclasses import replace
 
@@ -31,19 +31,19 @@ def offset():
 
 
 def dense(basis, weight, offset, noise):
-    """The formula as it stands: (P C P' + s^2 V^-1)^-1 P C r."""
+    """Compute (P C P' + s^2 V^-1)^-1 P C r directly."""
     components = np.asarray(basis.components, np.float64)
     known = (components * weight) @ components.T + np.diag(noise / basis.variances)
     return np.linalg.solve(known, components @ (weight * offset))
 
 
 @pytest.mark.parametrize("factor", [1.0, 100.0, 5000.0])
-def test_it_is_the_dense_formula(basis, weight, offset, factor):
+def test_the_mean_is_the_dense_formula(basis, weight, offset, factor):
     found = Posterior(basis, weight, factor).mean(offset)
     assert_allclose(found, dense(basis, weight, offset, factor * 0.003), rtol=1e-4, atol=1e-6)
 
 
-def test_with_observations_it_is_the_dense_formula(basis, weight, offset):
+def test_the_mean_with_observations_is_the_dense_formula(basis, weight, offset):
     rng = np.random.default_rng(3)
     seen = Observations(rng.standard_normal((RANK, 8)), rng.random(8))
     observed = rng.standard_normal(8)
@@ -51,19 +51,19 @@ def test_with_observations_it_is_the_dense_formula(basis, weight, offset):
     components = np.asarray(basis.components, np.float64)
     known = (components * weight) @ components.T / noise + np.diag(1 / basis.variances)
     known += (seen.weights * seen.precision) @ seen.weights.T
-    told = components @ (weight * offset) / noise + seen.weights @ (seen.precision * observed)
+    right_side = components @ (weight * offset) / noise + seen.weights @ (seen.precision * observed)
     found = Posterior(basis, weight, 100.0, seen).mean(offset, observed)
-    assert_allclose(found, np.linalg.solve(known, told), rtol=1e-4, atol=1e-6)
+    assert_allclose(found, np.linalg.solve(known, right_side), rtol=1e-4, atol=1e-6)
 
 
-def test_faces_known_by_their_loadings_give_the_mean_of_what_they_expand_to(basis, weight):
+def test_the_mean_of_faces_is_the_mean_of_their_expansions(basis, weight):
     loadings = np.random.default_rng(4).standard_normal((5, RANK))
     posterior = Posterior(basis, weight, 100.0)
     read = [posterior.mean(face) for face in basis.expand(loadings)]
     assert_allclose(posterior.mean_of_faces(loadings), read, atol=1e-5)
 
 
-def test_a_model_that_leaves_nothing_out_has_a_little_noise(basis, weight, offset):
+def test_a_model_without_discarded_variance_has_a_little_noise(basis, weight, offset):
     whole = replace(basis, discarded_variance=0.0)
     least = NOISE_FLOOR * 0.02
     assert Posterior(whole, weight, 5000.0).noise == pytest.approx(least)

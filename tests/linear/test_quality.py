@@ -1,4 +1,4 @@
-"""Laws of the figures: truth from algebra and from scikit-image."""
+"""Laws of the errors of pictures and flows: truth from algebra and from scikit-image."""
 
 import numpy as np
 import pytest
@@ -45,14 +45,14 @@ def test_equal_pictures_have_a_finite_psnr(picture):
     assert psnr_db(image, image, EVERYWHERE) == pytest.approx(120)
 
 
-def test_pictures_are_compared_as_files_show_them():
+def test_pictures_are_compared_after_clipping():
     white = np.ones((HEIGHT, WIDTH, 3), np.float32)
     assert psnr_db(white * 1.5, white, EVERYWHERE) == pytest.approx(120)
     assert psnr_db(white * -0.5, white * 0, EVERYWHERE) == pytest.approx(120)
     assert ssim(white * 1.5, white, EVERYWHERE) == pytest.approx(1)
 
 
-def test_what_lies_outside_the_mask_does_not_count(picture):
+def test_pixels_outside_the_mask_do_not_count(picture):
     image = picture(HEIGHT, WIDTH)
     other = image + np.float32(0.05)
     other[:, WIDTH // 2 :] = 0
@@ -124,15 +124,17 @@ def test_the_angular_error_is_the_angle_between_the_vectors_in_space_and_time(wa
 
 
 def test_small_angles_are_not_lost():
-    tilt = float(np.float32(3e-7))  # px on a field at rest: an angle of as many radians
+    tilt = float(np.float32(3e-7))  # px on a zero field: an angle of as many radians
     assert angular_error_deg(constant(tilt, 0), constant(0, 0)) == pytest.approx(np.degrees(tilt), rel=1e-6)
 
 
-def test_there_and_back_is_zero_for_inverse_fields_and_the_field_itself_without_a_way_back(wavy_field):
+def test_the_forward_backward_error_is_zero_for_inverse_fields_and_the_field_for_a_zero_backward_flow(
+    wavy_field,
+):
     forward = constant(3, -2)
     assert forward_backward_px(forward, -forward).max() == 0
     ramp = warp.affine_displacement(np.array([[1.1, 0.0, 0.0], [0.0, 1.0, 0.0]]), HEIGHT, WIDTH)  # v = 0.1 x
-    expected = 3 + 0.1 * (np.arange(WIDTH - 3) + 3)  # the way back is read where the way there ends
+    expected = 3 + 0.1 * (np.arange(WIDTH - 3) + 3)  # the backward flow is read at p + u(p)
     np.testing.assert_allclose(forward_backward_px(constant(3, 0), ramp)[7, : WIDTH - 3], expected, rtol=1e-5)
     field = wavy_field(HEIGHT, WIDTH, 4.0)
     np.testing.assert_allclose(
@@ -145,7 +147,7 @@ def test_there_and_back_is_zero_for_inverse_fields_and_the_field_itself_without_
     )  # px; the inverse is exact at pixels and read linearly between them
 
 
-def test_points_leave_where_the_field_takes_them_out():
+def test_points_moved_off_the_picture_are_outside():
     inside = stays_inside(constant(2.6, 0), HEIGHT, WIDTH)
     assert inside[:, : WIDTH - 3].all() and not inside[:, WIDTH - 3 :].any()
     inside = stays_inside(constant(0, -1.4), HEIGHT, WIDTH)
@@ -166,7 +168,7 @@ def test_unknown_truth_does_not_count(mark):
     assert np.isfinite(figures.aae_deg)
 
 
-def test_a_truth_that_knows_nothing_gives_no_figure():
+def test_an_unknown_truth_gives_nan():
     figures = flow_errors(constant(0, 0), constant(1e9, 1e9))
     assert np.isnan([figures.aee_px, figures.aae_deg, figures.r1_percent]).all()
 

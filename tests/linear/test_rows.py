@@ -1,4 +1,4 @@
-"""Laws of the row file: what is written by rows is read by columns, and a file is as good as an array."""
+"""Laws of the row file: rows are written, columns are read, and a file equals an array."""
 
 import os
 from concurrent.futures import ThreadPoolExecutor
@@ -26,7 +26,7 @@ def row_file(tmp_path, values):
         yield file
 
 
-def test_a_row_file_reads_what_was_written(row_file, values):
+def test_a_row_file_reads_the_written_rows(row_file, values):
     assert row_file.shape == (N, D)
     assert_array_equal(row_file.columns(0, D), values)
     for index in range(N):
@@ -46,7 +46,7 @@ def test_a_row_may_be_given_in_parts_of_any_shape_and_type(row_file, values):
     assert_array_equal(row_file.row(5), values[5])
 
 
-def test_a_system_that_writes_little_at_a_time_loses_nothing(monkeypatch, row_file, values):
+def test_short_writes_lose_nothing(monkeypatch, row_file, values):
     write = os.pwrite
     monkeypatch.setattr(os, "pwrite", lambda file, data, offset: write(file, data[:1000], offset))
     row_file.write_row(3, values[6])

@@ -1,4 +1,4 @@
-"""Laws of the nearest mixture: weights on the simplex, optimal by the conditions of Karush, Kuhn and Tucker."""
+"""Laws of the nearest mixture: weights on the simplex, optimal by the Karush-Kuhn-Tucker conditions."""
 
 import numpy as np
 import pytest
@@ -16,7 +16,7 @@ def aim(apart, costs, weights):
 @given(
     seed=st.integers(0, 2**32 - 1), count=st.integers(1, 30), size=st.integers(1, 40), price=st.floats(0, 2)
 )
-def test_no_face_could_join_or_leave_with_profit(seed, count, size, price):
+def test_the_mixture_satisfies_the_optimality_conditions(seed, count, size, price):
     rng = np.random.default_rng(seed)
     apart = rng.standard_normal((count, size)) + 0.5
     costs = price * (apart**2).sum(axis=1)
@@ -27,7 +27,7 @@ def test_no_face_could_join_or_leave_with_profit(seed, count, size, price):
     assert (slope[weights > 1e-6] - slope.min()).max() < 1e-5 * scale
 
 
-def test_it_beats_every_mixture_tried_at_random():
+def test_no_random_mixture_is_nearer():
     rng = np.random.default_rng(1)
     apart = rng.standard_normal((7, 4)) + 1
     costs = 0.3 * (apart**2).sum(axis=1)
@@ -35,18 +35,18 @@ def test_it_beats_every_mixture_tried_at_random():
     assert all(best <= aim(apart, costs, rng.dirichlet(np.full(7, 0.5))) + 1e-12 for _ in range(2000))
 
 
-def test_a_face_that_is_not_apart_is_taken_alone():
+def test_a_face_equal_to_the_target_is_the_mixture():
     apart = np.random.default_rng(2).standard_normal((9, 3))
     apart[4] = 0
     weights = nearest_mixture(apart, 0.3 * (apart**2).sum(axis=1))
     assert_allclose(weights, np.eye(9)[4], atol=1e-9)
 
 
-def test_faces_that_are_all_alike_leave_the_first():
+def test_of_equal_faces_the_first_is_the_mixture():
     assert_allclose(nearest_mixture(np.zeros((3, 2)), np.zeros(3)), [1, 0, 0])
 
 
-def test_more_faces_than_dimensions_still_give_one_answer():
+def test_more_faces_than_dimensions_have_one_solution():
     apart = np.random.default_rng(3).standard_normal((60, 2))
     one = nearest_mixture(apart, np.zeros(60))
     assert aim(apart, np.zeros(60), one) < 1e-9
