@@ -1,12 +1,13 @@
-"""Textures of several people mixed band by band, so that no detail is the average of details (ours).
+"""Mix the textures of several people band by band, so that fine detail is not averaged (ours).
 
-A mean of faces loses what does not lie on itself to a pixel: pores, lashes, the rim of a pair of glasses. So only what
-is coarser than `COARSE` is averaged. In the band below, a person who cannot show an expression has no say where it
-changes the face. In the finest, each place is shown mostly by whoever has most to show there, after Suwajanakorn, Seitz
-and Kemelmacher-Shlizerman (ICCV 2015), who weigh the levels of a Laplacian pyramid by their own strength.
+A mean of faces loses all detail that does not coincide to a pixel: pores, lashes, the rim of glasses. Only what is
+coarser than `COARSE` is averaged. In the band below, a person who cannot show an expression does not count where the
+expression changes the face. In the finest band, each pixel takes most from the person with the strongest detail
+there. Suwajanakorn, Seitz and Kemelmacher-Shlizerman (ICCV 2015) weigh the levels of a Laplacian pyramid by their
+strength in the same way.
 
-Strength decides whose detail a place shows, weights how much of it. Were both one product, a pair of glasses would be
-there almost whole at a weight of a twentieth: the skin of the others has next to nothing to set against it.
+Strength decides whose detail a pixel shows; the weights decide how much of it. With one product of both, glasses
+would appear almost whole at a weight of .05, since the skin of the others has little detail to compete.
 """
 
 from __future__ import annotations
@@ -33,9 +34,14 @@ LEAST_SHARE = 1e-3
 
 @dataclass(frozen=True, eq=False)
 class Shown:
-    """What one identity shows on the common grid.
+    """One identity on the common grid.
 
-    `texture` (h, w, 3) | `share` (h, w) 0 to 1, how far it is to be seen there | `weight` of the identity, 0 or more.
+    Attributes
+    ----------
+    texture : array (h, w, 3)
+    share : array (h, w), 0 to 1
+        How far the identity counts at each pixel.
+    weight : float, 0 or more
     """
 
     texture: Image
@@ -44,10 +50,16 @@ class Shown:
 
 
 def banded(mean: Image, shown: Sequence[Shown], usual: Sequence[float]) -> Image:
-    """Give the mix (h, w, 3): the coarse part of `mean` (h, w, 3), and the finer ones of what is `shown`.
+    """Mix textures by bands, (h, w, 3): the coarse part of `mean`, and the finer parts of the identities.
 
-    `usual`, one an identity, is the strength of its finest detail as a rule: the sharper camera has no more to say. One
-    of the weights must be above 0.
+    Parameters
+    ----------
+    mean : array (h, w, 3)
+    shown : sequence of Shown
+        The identities; one of the weights must be above 0.
+    usual : sequence of float
+        The usual strength of each identity's finest detail, by which it is divided: a sharper camera does not count
+        more.
     """
     fine_px, coarse_px = (part * mean.shape[1] for part in (FINE, COARSE))
     whole = np.zeros(mean.shape[:2], np.float32)
@@ -70,12 +82,11 @@ def banded(mean: Image, shown: Sequence[Shown], usual: Sequence[float]) -> Image
 
 
 def _taken(strong: Sequence[Mask], weights: Sequence[float]) -> list[Mask]:
-    """Give how much of each one's finest detail is taken, (h, w) each, sum 1 everywhere.
+    """Return the share of each identity's finest detail, (h, w) each, with sum 1 at every pixel.
 
     Any weights are a sum of equal ones: of all people, of all but the lightest, down to the heaviest alone. Among
-    equals each place is dealt out by strength, `strong` (h, w) each, and the mixes of equals are added up by their
-    parts of the weights, as in a Choquet integral. So equal weights are dealt out by strength alone, a weight near 0
-    is as none, and detail that one alone of n has is there by n times that one's weight while nobody weighs less.
+    equals, strength, `strong` (h, w) each, decides each pixel; the mixes of equals are added by their parts of the
+    weights, as in a Choquet integral. With equal weights strength alone decides, and a weight near 0 has no effect.
     """
     order = np.argsort(-np.asarray(weights, np.float64), kind="stable")
     falling = np.append(np.asarray(weights, np.float64)[order], 0.0)
@@ -91,18 +102,18 @@ def _taken(strong: Sequence[Mask], weights: Sequence[float]) -> list[Mask]:
 
 
 def detail_of(texture: Image) -> Image:
-    """Give the finest band of a texture (h, w, 3)."""
+    """Return the finest band of a texture (h, w, 3)."""
     return texture - _blurred(texture, FINE * texture.shape[1])
 
 
 def strength(detail: Image) -> Mask:
-    """Give the variance of a band's luma around each place, (h, w)."""
+    """Compute the local variance of a band's luma, (h, w)."""
     square: Mask = _blurred((detail @ LUMA) ** 2, AROUND * detail.shape[1])
     return np.maximum(square, 0)
 
 
 def changed(added: Image) -> Mask:
-    """Give how far what an expression adds to the texture (h, w, 3) makes it another: (h, w), 0 to 1."""
+    """Compute how strongly an expression's offset (h, w, 3) changes the texture, (h, w), 0 to 1."""
     low, high = CHANGED
     apart = _blurred(np.abs(added).max(axis=2), AROUND * added.shape[1])
     out: Mask = np.clip((apart - low) / (high - low), 0, 1).astype(np.float32)

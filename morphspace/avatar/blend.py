@@ -1,9 +1,9 @@
-"""The weighted mean morph of an expression's versions, on one grid, and what surrounds it (Nagle section 4, step 8).
+"""Blend the versions of an expression into one face on one grid, with its surround (Nagle section 4, step 8).
 
-Identity and expression are mixed apart: the identity is the weighted mean of all mean faces, always; the expression is
-the weighted mean of what each version adds to its own mean face, and versions that cannot be believed add less or
-nothing. Where all are believed that is the plain weighted mean of the versions. So the face stays the same person when
-one of its identities cannot follow. (Ours.)
+Identity and expression are mixed apart (ours). The identity is the weighted mean of all mean faces. The expression is
+the weighted mean of what each version adds to its own mean face; implausible versions add less or nothing. If all
+versions are plausible, this is the weighted mean of the versions. So the face stays the same person when one identity
+cannot follow.
 """
 
 from __future__ import annotations
@@ -30,11 +30,19 @@ Match = Callable[[Sequence[Version], Mapping[int, Laid]], Mapping[int, Laid]]
 
 @dataclass(frozen=True, eq=False)
 class Mixer:
-    """Mixes versions onto one faceframe.
+    """Blends versions on one faceframe.
 
-    `common` the grid | `weights` (n,) of the identities, sum 1 | `places` (2, 3) each, from their pictures to the
-    aligned picture | `surround` the identity whose hair, neck and background stay, None for flat grey
-    | `match` what an expression's own correspondence makes of the versions on the grid.
+    Attributes
+    ----------
+    common : CommonFace
+        The grid.
+    weights : array (n,), sum 1
+    places : sequence of affines (2, 3)
+        From the pictures of each identity to the aligned picture.
+    surround : int or None
+        The identity whose hair, neck and background stay; None for flat grey.
+    match : callable
+        Matches the versions of one expression on the grid.
     """
 
     common: CommonFace
@@ -51,12 +59,12 @@ class Mixer:
 
     @cached_property
     def mean(self) -> Laid:
-        """The weighted mean of the mean faces: who the avatar is."""
+        """The weighted mean of the mean faces: the avatar's identity."""
         mean = _sum(self.weights, self.rest)
         return Laid(self._without_hair(), mean.displacement)
 
     def _without_hair(self) -> Image:
-        """Give the weighted mean texture, where some show hair over the forehead of those who show skin."""
+        """Return the weighted mean texture, with hair over the forehead left out where another identity shows skin."""
         total = np.zeros_like(self.rest[0].texture)
         weight = np.zeros((*self.common.mask.shape, 1), np.float32)
         for share, skin, one in zip(self.weights, self.common.skin, self.rest, strict=True):
@@ -68,33 +76,33 @@ class Mixer:
 
     @cached_property
     def near(self) -> Mask:
-        """Where motion of the face may still move what surrounds it, (h, w)."""
+        """The region (h, w) around the face that still moves with it."""
         return around(self.common.mask)
 
     @cached_property
     def mask_picture(self) -> Mask:
-        """The mask (h, w) as it lies in the aligned picture of the mean face."""
+        """The mask (h, w) in the aligned picture of the mean face."""
         return np.clip(warp.render(self.common.mask[..., None], self.mean.displacement)[..., 0], 0, 1)
 
     @cached_property
     def judged_picture(self) -> Mask:
-        """The part (h, w) of the picture of the mean face in which sharpness is compared: everybody's skin."""
+        """The part (h, w) of that picture in which sharpness is compared: skin of all identities."""
         skin = np.min([self.common.mask, *self.common.skin], axis=0)
         return np.clip(warp.render(skin[..., None], self.mean.displacement)[..., 0], 0, 1)
 
     def used(self, versions: Sequence[Version]) -> AnyArray:
-        """Give the weights (n,), sum 1, with which the versions' motion and colour count."""
+        """Return the weights (n,), sum 1, of the versions' motion and colour."""
         weights = self.weights * np.array([believed(version) for version in versions])
         out: AnyArray = weights / weights.sum()  # the source's own counts in full, so the sum is above 0
         return out
 
     def mixed(self, versions: Sequence[Version]) -> Image:
-        """Give the blended picture (h, w, 3) of an expression's versions, one an identity."""
+        """Blend the versions of an expression, one an identity, into a picture (h, w, 3)."""
         blend = self.blended(versions)
         return warp.render(blend.texture, blend.displacement)
 
     def blended(self, versions: Sequence[Version]) -> Laid:
-        """Give the blended morph on the common grid, surround included, without folds."""
+        """Blend the versions into a morph on the common grid, with its surround and without folds."""
         used = self.used(versions)
         laid = {
             i: self.common.laid(i, version.morph, self.places[i])
@@ -116,7 +124,7 @@ class Mixer:
         return Laid(texture, unfolded(displacement))
 
     def _face(self, versions: Sequence[Version], offsets: dict[int, Laid], added: Image) -> Image:
-        """Mix the textures, band by band: who cannot be believed shows what the others add, where that is little."""
+        """Mix the textures by bands; an implausible version takes what the others add, where that is little."""
         another = changed(added)
         shown = []
         for i, (version, rest, skin) in enumerate(zip(versions, self.rest, self.common.skin, strict=True)):
@@ -128,7 +136,7 @@ class Mixer:
 
     @cached_property
     def usual(self) -> tuple[float, ...]:
-        """How strong each identity's finest detail is in its mean face."""
+        """The usual strength of each identity's finest detail, in its mean face."""
         inside = self.common.mask > WELL_INSIDE
         return tuple(
             float(strength(detail_of(one.texture))[inside].mean()) if inside.any() else 1.0
@@ -136,14 +144,15 @@ class Mixer:
         )
 
     def picture(self, identity: int, version: Version) -> Image:
-        """Give a version (h, w, 3) by itself, aligned as the blend is."""
+        """Draw one version (h, w, 3) in the alignment of the blend."""
         check_finite(self.common.models[identity], version.morph)
         return version_picture(version.morph, self.places[identity])
 
     def _outside(self, versions: Sequence[Version], laid: dict[int, Laid], added: Laid) -> Laid:
-        """Give what surrounds the face: as its identity shows the expression, so far as that is believed.
+        """Return the surround: that of its owner's version, as far as the version is plausible.
 
-        What is not believed rests, and follows the blend's motion next to the mask only, so that a jaw does not tear.
+        The rest stays neutral, and follows the motion of the blend next to the mask only, so that a jaw does not
+        tear.
         """
         near = self.near[..., None]
         if self.surround is None:
@@ -157,7 +166,7 @@ class Mixer:
 
 
 def _sum(weights: Sequence[float] | AnyArray, laid: Sequence[Laid]) -> Laid:
-    """Give the weighted sum; in the order given, in float32."""
+    """Return the weighted sum of morphs, in the order given, in float32."""
     texture, displacement = np.zeros_like(laid[0].texture), np.zeros_like(laid[0].displacement)
     for weight, one in zip(weights, laid, strict=True):
         texture += np.float32(weight) * one.texture

@@ -1,7 +1,7 @@
-"""From models to an avatar: every expression blended into a picture, and a model of the pictures (Nagle section 4).
+"""Build an avatar: blend every expression into a picture, and build a model of the pictures (Nagle section 4).
 
-A blended picture is a file in the work folder named after all it depends on. It is kept unsharpened: the amount of
-sharpening follows from all of them.
+A blended picture is kept in the work folder under a digest of everything it depends on. It is kept unsharpened, since
+the amount of sharpening follows from all pictures.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ REGISTRATION: RegistrationKind = "similarity"  # of pictures the finished model 
 
 @dataclass(frozen=True, eq=False)
 class BlendedFrames:
-    """The blended pictures as a `FrameSource`: `files` in the work folder, sharpened by `amount` inside `masks`."""
+    """The blended pictures as a `FrameSource`: kept in `files`, sharpened by `amount` inside `masks`."""
 
     names: tuple[str, ...]
     files: tuple[Path, ...]
@@ -54,11 +54,11 @@ class BlendedFrames:
 
     @property
     def digests(self) -> tuple[str, ...]:
-        """A digest of what each picture was made from."""
+        """A digest of everything each picture depends on."""
         return tuple(digest_of_json([file.stem, self.amount]) for file in self.files)
 
     def images(self, indices: list[int]) -> Iterator[Image]:
-        """Give the pictures (h, w, 3) at these indices, in [0, 1]."""
+        """Yield the pictures (h, w, 3) in [0, 1] at these indices."""
         for index in indices:
             plain = np.array(read_result(self.files[index])[0]["image"])
             yield np.clip(sharpened(plain, self.masks[index], self.amount), 0, 1)
@@ -68,12 +68,26 @@ class BlendedFrames:
 class Avatar:
     """A blended identity.
 
-    `model` | `identities` (k,), each by a name of its own, as they were given, and their `weights` (k,), sum 1 |
-    `expressions`, one a training frame of the model | `reference`, the expression the model was built on |
-    `reference_identity` and `surround`, by place in `identities`; `surround` None for flat grey | `sharpen` the amount
-    used | `sharpness` in one region of the face that all have: "sources" (k,), "blend" as its model draws it,
-    "pictures" it was built from, "unsharpened" before the mask, "pixel average" | `notes` | `build`, the ordinary build
-    of the model.
+    Attributes
+    ----------
+    model : MorphModel
+    identities : tuple of k str
+        Their names, made unique, in the order given.
+    weights : array (k,), sum 1
+    expressions : sequence of Expression
+        One for each training frame of the model.
+    reference : int
+        The expression on which the model was built.
+    reference_identity, surround : int or None
+        Places in `identities`; a `surround` of None is flat grey.
+    sharpen : float
+        The amount of the unsharp mask.
+    sharpness : dict
+        Of the skin that all identities share: "sources" (k,), "blend" as the model draws it, "pictures" it was built
+        from,
+        "unsharpened" pictures, and the "pixel average".
+    notes : tuple of str
+    build : Build
     """
 
     model: MorphModel
@@ -93,12 +107,12 @@ class Avatar:
 
     @property
     def judged(self) -> AnyArray:
-        """Where (h, w), bool, the avatar's mean face shows what all have: face, and nobody's hair."""
+        """The pixels (h, w), bool, of the mean face that are skin of all identities."""
         return self.studio.mixer(self.studio.reference).judged_picture > WELL_INSIDE
 
     @property
     def figures(self) -> dict[str, Any]:
-        """What was blended and what came of it, as plain JSON."""
+        """Return the settings of the blend and its figures, as plain JSON."""
         model, sharpness = self.model, self.sharpness
         left_out = sum((one.weights[self.weights > 0] == 0).any() for one in self.expressions)
         return {
@@ -121,24 +135,40 @@ class Avatar:
         }
 
     def versions(self, index: int) -> list[Image]:
-        """Give the k aligned versions (h, w, 3) of expression `index`; the mean face of one that takes no part."""
+        """Return the k aligned versions (h, w, 3) of an expression; the mean face of an identity without a part."""
         source, frame = self.chosen[index]
         return self.studio.pictures(source, self.studio.versions(source, frame))
 
     def blend(self, index: int) -> Image:
-        """Give the blended picture (h, w, 3) of expression `index`, as the model was built from."""
+        """Return the blended picture (h, w, 3) of an expression, from which the model was built."""
         return next(self.frames.images([index]))
 
     def pixel_average(self, index: int) -> Image:
-        """Give Galton's average of expression `index` (h, w, 3): the weighted mean of the versions, pixel by pixel."""
+        """Return Galton's average of an expression (h, w, 3): the weighted mean of the versions, pixel by pixel."""
         return _pixel_average(self.versions(index), self.weights)
 
 
 def blend_steps(models: Sequence[MorphModel], settings: AvatarSettings, work_folder: Path) -> Steps[Avatar]:
     """Blend models into an avatar; a generator of steps that returns an `Avatar`.
 
-    Raises `BadInput` for fewer than two models, models without keypoints, of different sizes or without components, and
-    settings that do not fit them. The order of the models changes nothing but the order of what is told about them.
+    The order of the models changes nothing but the order of the results.
+
+    Parameters
+    ----------
+    models : sequence of at least two MorphModel
+        Of one size, with keypoints and components.
+    settings : AvatarSettings
+    work_folder : Path
+        Where finished expressions are kept.
+
+    Raises
+    ------
+    BadInput
+        If the models cannot be blended, or the settings do not fit them.
+
+    References
+    ----------
+    Nagle et al., section 4, steps 1 to 9.
     """
     studio, chosen = checked(models, settings)
     work_folder.mkdir(parents=True, exist_ok=True)
@@ -185,7 +215,7 @@ def blend_steps(models: Sequence[MorphModel], settings: AvatarSettings, work_fol
 def checked(
     models: Sequence[MorphModel], settings: AvatarSettings
 ) -> tuple[Studio, Sequence[tuple[int, int]]]:
-    """Give all that blends, and which expressions are blended; costs little. Raises `BadInput` as `blend_steps`."""
+    """Check models and settings, and return the prepared blend and the chosen expressions; costs little."""
     studio = studio_of(models, settings)
     chosen = studio.chosen()
     if len(chosen) < LEAST_EXPRESSIONS:
@@ -197,7 +227,7 @@ def checked(
 
 
 def _blend_pass(studio: Studio, chosen: Sequence[tuple[int, int]], work_folder: Path) -> Steps[list[Path]]:
-    """Blend each expression, or find it in the work folder; give each one's file."""
+    """Blend each expression, or find it in the work folder; return their files."""
     common = [BLEND_FORMAT, BLEND_VERSION, FLOW_VERSION, cv2.__version__, studio.identity()]
     compared = set(spread(len(chosen), PIXEL_AVERAGES))
     files = [result_file(work_folder, *common, *one, index in compared) for index, one in enumerate(chosen)]
@@ -257,7 +287,7 @@ def _expressions(
 def _sharpness(
     studio: Studio, chosen: Sequence[tuple[int, int]], told: Sequence[Mapping[str, Any]]
 ) -> dict[str, Any]:
-    """Give the mean sharpness of each identity's own expressions (k,), and of the pixel averages."""
+    """Compute the mean sharpness of each identity's own expressions (k,), and of the pixel averages."""
     measured: dict[str, list[float]] = {}
     for (source, _), one in zip(chosen, told, strict=True):
         measured.setdefault(studio.cast.keys[source], []).append(one["source_sharpness"])
@@ -274,7 +304,7 @@ def _amount(curves: Curve, wanted: float) -> float:
 
 
 def _drawn_sharpness(studio: Studio, chosen: Sequence[tuple[int, int]], model: MorphModel) -> float:
-    """Give the mean sharpness of the training faces as the finished model draws them."""
+    """Compute the mean sharpness of the training faces as the finished model draws them."""
     some = spread(len(chosen), DRAWN)
 
     def look(index: int) -> float:
@@ -287,7 +317,7 @@ def _drawn_sharpness(studio: Studio, chosen: Sequence[tuple[int, int]], model: M
 
 
 def _mean_sharpness(studio: Studio, model: MorphModel) -> float:
-    """Give the sharpness of the mean face of one that takes no part."""
+    """Compute the sharpness of the mean face of an identity without a part."""
     onto = affine_between(required_faceframe(model), studio.faceframe(0))
     return sharpness(version_picture(model.mean, onto), studio.mixer(0).judged_picture)
 
@@ -301,8 +331,8 @@ def _build(
 ) -> Steps[Build]:
     """Build the model of the blended pictures, with keypoints (Nagle section 4, step 9).
 
-    The pictures lie on one faceframe already, and are not sampled once more to bring them there. Pictures of the avatar
-    that the model is given later may lie anywhere.
+    The pictures lie on one faceframe already and are not registered again. Pictures that the model reads later may
+    lie anywhere.
     """
     settings = studio.settings
     asked = BuildSettings(
@@ -330,7 +360,7 @@ def _build(
 
 
 def _nearest_to_rest(studio: Studio, chosen: Sequence[tuple[int, int]]) -> int:
-    """Give the expression whose own loadings are nearest to its model's mean, in SD."""
+    """Return the expression whose own loadings are nearest to its model's mean, in SD."""
     far = []
     for source, frame in chosen:
         model = studio.cast.models[source]
@@ -340,7 +370,7 @@ def _nearest_to_rest(studio: Studio, chosen: Sequence[tuple[int, int]]) -> int:
 
 
 def _faceframe_in(studio: Studio, source: int, frame: int) -> AnyArray:
-    """Give the faceframe (3, 2) px in a blended picture: that onto which all mean faces were aligned, moved by it."""
+    """Return the faceframe (3, 2) px in a blended picture: that of the alignment, moved by the expression."""
     blend = studio.mixer(source).blended(studio.versions(source, frame))
     return move_points(blend.displacement, required_faceframe(studio.cast.models[studio.reference]).points)
 
@@ -377,7 +407,7 @@ def _provenance(studio: Studio, frames: BlendedFrames, amount: float) -> dict[st
 
 
 def told_together(labels: Sequence[str], told: Sequence[Any]) -> Any:
-    """Give what all models tell, or who tells what; None where nobody tells anything."""
+    """Return the entry that all models share, or the entry of each; None where no model has one."""
     if all(one == told[0] for one in told):
         return told[0]
     return "; ".join(

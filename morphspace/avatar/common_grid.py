@@ -1,10 +1,10 @@
-"""All identities on one grid: the mean face of the reference identity, to which the other mean faces correspond.
+"""Put all identities on one grid: the mean face of the reference identity, to which the other mean faces correspond.
 
-Nagle finds the flow from the k versions of each expression to the reference identity's (section 4, step 8). Here each
-version is a morph already: its model knows where every point of its mean face went. So people are put in correspondence
-mean face to mean face, where all are at rest and the flow is surest, held by the points of the face mesh; and a
-version's correspondence follows by composition, the same for every expression. What that cannot tell, the mouth, is
-found anew in each (`matching`). Nothing is resampled twice. (Ours.)
+Nagle computes the flow from the k versions of each expression to that of the reference identity (section 4, step 8).
+Here each version is a morph, whose warp says where each point of its mean face went. So the mean faces are put in
+correspondence, where all are neutral and the flow is most certain, held by the points of the face mesh. The
+correspondence of a version follows by composition. The mouth, which a neutral face cannot show, is matched anew in
+each expression (`mouth`). Nothing is resampled twice. (Ours.)
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ NEXT_TO_MASK = 0.05  # of the width, sd: how far around the mask motion still fo
 
 @dataclass(frozen=True, eq=False)
 class Laid:
-    """A morph on the common grid: texture (h, w, 3), and displacement (h, w, 2) px to its place in the picture."""
+    """A morph on the common grid: texture (h, w, 3), and displacement (h, w, 2) px to the aligned picture."""
 
     texture: Image
     displacement: Displacement
@@ -41,8 +41,16 @@ class Laid:
 
 @dataclass(frozen=True, eq=False)
 class CommonFace:
-    """The common grid: `fields` (h, w, 2) px from it to each identity's mean face; the blend's `mask` (h, w); and how
-    much of each identity's mean face is skin rather than hair, `skin` (h, w) each.
+    """The common grid.
+
+    Attributes
+    ----------
+    fields : sequence of arrays (h, w, 2) px
+        From the grid to each identity's mean face.
+    mask : array (h, w)
+        The mask of the blend.
+    skin : sequence of arrays (h, w)
+        The share of skin, rather than hair, in each identity's mean face.
     """
 
     models: Sequence[MorphModel]
@@ -51,7 +59,7 @@ class CommonFace:
     skin: Sequence[Mask]
 
     def laid(self, identity: int, morph: Morph, place: Affine) -> Laid:
-        """Lay a morph of an identity on the grid; `place` (2, 3) takes its pictures' points to the aligned picture."""
+        """Bring an identity's morph to the grid; `place` (2, 3) maps its pictures to the aligned picture."""
         check_finite(self.models[identity], morph)
         field = self.fields[identity]
         texture, moved = morph.texture, morph.displacement
@@ -62,7 +70,7 @@ class CommonFace:
 
 
 def placed(displacement: Displacement, place: Affine) -> Displacement:
-    """Give the displacement whose end points are moved by an affine (2, 3) as well."""
+    """Move the end points of a displacement by an affine (2, 3)."""
     if np.allclose(place, identity_affine(), rtol=0, atol=1e-9):
         return displacement
     height, width = displacement.shape[:2]
@@ -75,12 +83,12 @@ def placed(displacement: Displacement, place: Affine) -> Displacement:
 
 
 def version_picture(morph: Morph, place: Affine) -> Image:
-    """Draw a version (h, w, 3) in its aligned place: the second alignment (Nagle section 4, step 7)."""
+    """Draw a version (h, w, 3) in its alignment (Nagle section 4, step 7)."""
     return warp.render(morph.texture, placed(morph.displacement, place))
 
 
 def check_finite(model: MorphModel, morph: Morph) -> None:
-    """Raise `BadInput` for a morph of a model whose points go nowhere: no picture can be drawn of it."""
+    """Raise `BadInput` if a morph of a model is not finite: no picture can be drawn of it."""
     count = int((~np.isfinite(morph.displacement)).sum())
     if count:
         raise BadInput(
@@ -90,12 +98,12 @@ def check_finite(model: MorphModel, morph: Morph) -> None:
 
 
 def places_on(models: Sequence[MorphModel], faceframe: FaceFrame) -> list[Affine]:
-    """Give the affine (2, 3) that takes each identity's mean face onto a faceframe."""
+    """Return the affine (2, 3) that takes each identity's mean face onto a faceframe."""
     return [affine_between(required_faceframe(model), faceframe) for model in models]
 
 
 def mean_faceframe(models: Sequence[MorphModel], weights: AnyArray) -> FaceFrame:
-    """Give the weighted mean of the identities' faceframes."""
+    """Return the weighted mean of the identities' faceframes."""
     points = [required_faceframe(model).points for model in models]
     return FaceFrame.at(np.tensordot(weights, np.array(points), 1))
 
@@ -126,7 +134,7 @@ def common_face(models: Sequence[MorphModel], keys: Sequence[str], reference: in
 
 
 def _start(home: MorphModel, other: MorphModel) -> tuple[Displacement, bool]:
-    """Give where the correspondence starts, (h, w, 2) px, and whether points of the face hold it there."""
+    """Return the start of a correspondence, (h, w, 2) px, and whether points of the face hold it."""
     height, width = home.mask.shape
     points = [landmarks_of(model) for model in (home, other)]
     if points[0] is None or points[1] is None:
@@ -136,13 +144,13 @@ def _start(home: MorphModel, other: MorphModel) -> tuple[Displacement, bool]:
 
 
 def shortened(field: Displacement, most_px: float) -> Displacement:
-    """Draw a field's vectors smoothly inside a length."""
+    """Shorten the vectors of a field smoothly below a length in px."""
     square = (field * field).sum(axis=2, keepdims=True) / np.float32(most_px**2)
     return (field / np.sqrt(1 + square)).astype(np.float32)
 
 
 def around(mask: Mask) -> Mask:
-    """Give a wider, softer mask (h, w): 1 inside, falling to 0 at some distance."""
+    """Widen and soften a mask (h, w): 1 inside, falling to 0 at some distance."""
     sd_px = NEXT_TO_MASK * mask.shape[1]
     side = 2 * round(sd_px) + 1
     wide = cv2.dilate(mask, cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (side, side)))

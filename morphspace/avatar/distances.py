@@ -1,6 +1,6 @@
-"""How far the mean faces of several people and of their blend lie from each other: what is known without a judge.
+"""Measure how far the mean faces of several people and of their blend lie apart in shape and colour, without a judge.
 
-This is no measure of identity, which wants a face recogniser. It says by how much shape and colour differ.
+Identity itself needs a face recogniser to be measured.
 """
 
 from __future__ import annotations
@@ -19,11 +19,17 @@ from morphspace.model.model import MorphModel
 
 @dataclass(frozen=True, eq=False)
 class MeanDistances:
-    """Distances between k people and their blend, which comes last; both (k + 1, k + 1), symmetric, 0 with themselves.
+    """Distances between k people and their blend, which comes last: symmetric, (k + 1, k + 1), 0 on the diagonal.
 
-    `shape_percent` rms distance of landmarks in % of the distance between the eyes, size, place and tilt taken out;
-    None where a model does not know its landmarks | `colour_percent` rms difference of colour inside the face that all
-    share, in % of white, the mean faces laid on the blend's faceframe.
+    Attributes
+    ----------
+    shape_percent : array or None
+        Rms distance of landmarks in % of the eye distance, after size, position and rotation are removed; None where
+        a
+        model does not know its landmarks.
+    colour_percent : array
+        Rms difference of colour in % of white, inside the face that all share, with the mean faces on the blend's
+        faceframe.
     """
 
     shape_percent: AnyArray | None
@@ -31,11 +37,15 @@ class MeanDistances:
 
 
 def mean_face_distances(models: Sequence[MorphModel], avatar: MorphModel, shared: AnyArray) -> MeanDistances:
-    """Compare the mean faces of k `models` and of their blend; colours where all `shared` (h, w), bool, the face. Ours.
+    """Compare the mean faces of k models and of their blend (ours).
 
-    Hair, ears and background are the surround's owner's: with them, that person would always be nearest to the blend.
+    Colours are compared where all share the face (`shared`, (h, w), bool). With hair, ears and background, the owner
+    of the surround would always be nearest to the blend.
 
-    Raises `BadInput` where one has no faceframe.
+    Raises
+    ------
+    BadInput
+        If a model has no faceframe.
     """
     everyone = [*models, avatar]
     laid = [_laid_on(model, avatar) for model in models] + [np.clip(avatar.mean.render(), 0, 1)]
@@ -46,11 +56,11 @@ def mean_face_distances(models: Sequence[MorphModel], avatar: MorphModel, shared
 
 
 def shape_percent(one: Points, other: Points) -> float:
-    """Give the rms distance of points (m, 2) from others (m, 2), in their unit, times 100, after the best similarity.
+    """Compute the rms distance between two sets of points (m, 2) after the best similarity, in their unit, times 100.
 
-    Both are centred and shrunk to rms size 1 before the rotation is found (ordinary Procrustes analysis, Dryden and
-    Mardia, Statistical Shape Analysis, section 4.2), so the order of the two does not matter; the result is scaled
-    back with the geometric mean of their sizes.
+    Both are centred and scaled to rms size 1 before the rotation is found (ordinary Procrustes analysis, Dryden and
+    Mardia, Statistical Shape Analysis, section 4.2), so their order does not matter. The result is scaled back by the
+    geometric mean of the sizes.
     """
     a, b = (points - points.mean(axis=0) for points in (one, other))
     size_a, size_b = (float(np.sqrt((points**2).sum(axis=1).mean())) for points in (a, b))
@@ -61,7 +71,7 @@ def shape_percent(one: Points, other: Points) -> float:
 
 
 def _shapes(models: Sequence[MorphModel]) -> list[Points] | None:
-    """Give the landmarks of every mean face in units of its distance between the eyes."""
+    """Return the landmarks of every mean face in units of its eye distance."""
     meshes = [landmarks_of(model) for model in models]
     # Only like can be compared with like: the regression's landmarks are a selection of the mesh.
     selections = [None if model.landmarks is None else model.landmarks.mean for model in models]

@@ -1,11 +1,11 @@
-"""A correspondence for each expression: flow between the people's versions of it (Nagle section 4, step 8).
+"""Match the mouths of people in each expression, by flow between their versions (Nagle section 4, step 8).
 
-Mean faces correspond at rest (`common_face`), and the warps carry that along. At the mouth it does not last: one model
-shows an opening by its warp and another in colour, and teeth that nobody shows at rest correspond to nothing. So there
-flow is asked once more, between the pictures of the versions. It starts where the correspondence at rest leads, moved
-by a spline so that the landmarks of the versions meet, and may leave that by a share of the width only. Landmarks
-follow from each model's own regression. Everything is matched to the version of the person whose expression it is: the
-reference identity's, as published, is torn where that person cannot show it. (Ours.)
+Mean faces correspond when neutral (`common_grid`), and the warps carry this correspondence along. It fails at the
+mouth: one model shows an opening by its warp and another by colour, and teeth correspond to nothing in a neutral
+face. So the flow between the pictures of the versions is computed there. It starts from the neutral correspondence,
+moved by a spline until the landmarks of the versions meet, and may leave this start by a share of the width only.
+Landmarks come from each model's regression. All versions are matched to that of the person whose expression it is.
+The reference identity's version, as published, is torn where that person cannot show the expression. (Ours.)
 """
 
 from __future__ import annotations
@@ -39,9 +39,9 @@ HOLDING = tuple(sorted({*LIPS, PHILTRUM, *RIGID_POINTS, *CHEEKS_AND_CHIN}))
 
 @dataclass(frozen=True, eq=False)
 class Landmarks:
-    """Landmarks of a version: `points` (m, 2) px in its aligned picture, and by how much they err, `error_px` (m,).
+    """Landmarks of a version: `points` (m, 2) px in its aligned picture, and their errors, `error_px` (m,).
 
-    A point that the warp carries, and no regression, counts as without error.
+    A point that the warp carries, without a regression, has the error 0.
     """
 
     points: Points
@@ -50,10 +50,15 @@ class Landmarks:
 
 @dataclass(frozen=True, eq=False)
 class Matcher:
-    """Matches the versions of an expression to the one of the person whose expression it is.
+    """Matches the versions of an expression to the version of the person whose expression it is.
 
-    `models`, `keys` and `places` (2, 3) of the identities, the last from their pictures to the aligned picture | `flow`
-    between the pictures.
+    Attributes
+    ----------
+    models, keys : of the identities
+    places : sequence of affines (2, 3)
+        From their pictures to the aligned picture.
+    flow : str
+        The flow between the pictures.
     """
 
     models: Sequence[MorphModel]
@@ -63,9 +68,9 @@ class Matcher:
     holding: ClassVar[tuple[int, ...]] = HOLDING
 
     def matched(self, versions: Sequence[Version], laid: Mapping[int, Laid]) -> dict[int, Laid]:
-        """Give the versions `laid` on the common grid by the correspondence at rest, matched at the mouth.
+        """Match versions at the mouth, from morphs on the common grid in neutral correspondence.
 
-        Those whose landmarks are not known, and what cannot be believed, stay as they are.
+        Versions without landmarks, and implausible ones, stay as they are.
         """
         out = dict(laid)
         home = self.home(versions)
@@ -96,13 +101,13 @@ class Matcher:
         return out
 
     def home(self, versions: Sequence[Version]) -> int:
-        """Give the place of the version to which the others are matched."""
+        """Return the place of the version to which the others are matched."""
         return next(i for i, version in enumerate(versions) if version.is_own)
 
     def landmarks(self, i: int, version: Version) -> Landmarks | None:
-        """Give what holds the mouth of a version; None where its model does not know its landmarks.
+        """Return the landmarks that hold the mouth of a version; None where its model does not know its landmarks.
 
-        Points that are not regressed go where the warp takes them.
+        Points without a regression go where the warp takes them.
         """
         mesh, learned = landmarks_of(self.models[i]), self.models[i].landmarks
         if mesh is None or learned is None:
@@ -113,25 +118,25 @@ class Matcher:
         return Landmarks(warp.apply_affine(self.places[i], points[held]), error_px[held])
 
     def region(self, points: Landmarks, height: int, width: int) -> Mask:
-        """Give where an expression has a correspondence of its own, (h, w), soft: the lips and what is between them."""
+        """Return the soft region (h, w) that is matched in each expression: the lips and what lies between them."""
         lips = points.points[[self.holding.index(place) for place in LIPS]].astype(np.float32)
         mouth = filled(cv2.convexHull(lips)[:, 0], height, width)
         wider = cv2.dilate(mouth, disc(AROUND_LIPS * width))
         return cv2.GaussianBlur(wider, (0, 0), SOFT * width, borderType=cv2.BORDER_REPLICATE)
 
     def _picture(self, i: int, version: Version) -> tuple[Image, Displacement]:
-        """Give a version's aligned picture (h, w, 3), and where each of its pixels comes from (h, w, 2) px."""
+        """Draw a version's aligned picture (h, w, 3), and return the origin of each of its pixels as (h, w, 2) px."""
         inverse = warp.invert(placed(version.morph.displacement, self.places[i]))
         return warp.sample(np.array(version.morph.texture), inverse), inverse
 
 
 def holds_a_mouth(model: MorphModel) -> bool:
-    """Tell whether a model knows what holds a mouth: the mesh points of its mean face, and its landmarks."""
+    """Return whether a model knows its mesh points and its landmarks, which hold a mouth."""
     return landmarks_of(model) is not None and model.landmarks is not None
 
 
 def _sure(off: Points, one: Landmarks, other: Landmarks) -> Points:
-    """Give how far points (m, 2) px are surely off: little of what the regressions err by themselves."""
+    """Return how far points (m, 2) px certainly differ: the regressions' own errors are taken off."""
     square = (off**2).sum(axis=1)
     doubt = DOUBT**2 * (one.error_px**2 + other.error_px**2)
     return off * (square / np.maximum(square + doubt, np.finfo(float).tiny))[:, None]

@@ -1,4 +1,4 @@
-"""What is said about a blend before anyone looks at it: who is left out, who looks elsewhere, how sharp it came out."""
+"""Notes on a blend: identities without a part, gaze that differs, and the sharpness of the result."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ CORNERS = ((RIGHT_IRIS[0], RIGHT_LIDS[0], RIGHT_LIDS[8]), (LEFT_IRIS[0], LEFT_LI
 
 
 def notes_on(studio: Studio, expressions: Sequence[Expression], sharp_share: float) -> tuple[str, ...]:
-    """Give one line for each thing to know; `sharp_share` is the finished model's sharpness over what was wanted."""
+    """Write one line for each thing to know; `sharp_share` is the model's sharpness over the wanted one."""
     return (
         *_who(studio),
         *_left_out(studio, expressions),
@@ -93,9 +93,9 @@ def _gaze(studio: Studio) -> list[str]:
 
 
 def gaze(points: Points) -> float:
-    """Give how far to the image's right the irises stand, mean of both, in widths of the eye; 0 is midway.
+    """Compute the position of the irises between the corners, positive to the image's right, in widths of the eye.
 
-    `points` (478, 2) px, those of the face mesh.
+    The mean of both eyes; 0 is midway. `points` (478, 2) px are those of the face mesh.
     """
     found = []
     for iris, left, right in CORNERS:

@@ -1,7 +1,7 @@
-"""The frames a model was built from, in place of what the model makes of them (Nagle section 4, step 3).
+"""Use the frames a model was built from in place of its reconstructions (Nagle section 4, step 3).
 
-A model gives its training frames back from their loadings, without what its components leave out. With the clip at hand
-the colours are the frame's own, read where the model knows each point of the mean face to have gone.
+A model draws its training frames from their loadings, without what its components leave out. With the clip at hand,
+the colours are those of the frame, read where the model's warp says that each point of the mean face went.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from morphspace.model.morph import Morph, morph_of
 
 
 class Clip(FrameSource, Protocol):
-    """Frames at the model's size that know the digests of the files they come from."""
+    """Frames at the model's size with the digests of their files."""
 
     @property
     def file_digests(self) -> tuple[str, ...]:
@@ -27,18 +27,18 @@ class Clip(FrameSource, Protocol):
 
 @dataclass(frozen=True, eq=False)
 class Originals:
-    """The frames of `clip` as morphs of `model`, by places (n,) of its training frames in the clip."""
+    """The frames of `clip` as morphs of `model`; `places` (n,) of its training frames in the clip."""
 
     model: MorphModel
     clip: Clip
     places: tuple[int, ...]
 
     def prepare(self) -> None:
-        """Find what all frames share: the face in the reference."""
+        """Prepare what all frames share: the face in the reference."""
         _ = self.model.anchor
 
     def morph(self, frame: int) -> Morph:
-        """Take training frame `frame` apart on the mean face."""
+        """Compute the morph of training frame `frame`."""
         training = self.model.training
         (image,) = self.clip.images([self.places[frame]])
         aligned = self.model.align(image, training.frame_names[frame]).image
@@ -47,12 +47,12 @@ class Originals:
 
     @property
     def identity(self) -> str:
-        """What the morphs depend on beside the model, which says itself what files it comes from."""
+        """A digest of what the morphs depend on beside the model."""
         return self.model.reading
 
 
 def originals_of(models: Sequence[MorphModel], clips: Sequence[Clip] | None) -> list[Originals | None]:
-    """Pair each model with the clip it was built from; all None without clips. Raises `BadInput`."""
+    """Pair each model with the clip it was built from; None for each without clips. Raises `BadInput`."""
     if clips is None:
         return [None] * len(models)
     check_clips(len(clips), len(models))
@@ -60,7 +60,7 @@ def originals_of(models: Sequence[MorphModel], clips: Sequence[Clip] | None) -> 
 
 
 def check_clips(clips: int, models: int) -> None:
-    """Raise `BadInput` where there is not one clip for each model."""
+    """Raise `BadInput` if the clips are not one for each model."""
     if clips != models:
         raise BadInput(
             f"{clips} clips do not fit {models} models: give the clip of each, in the order of the models"
@@ -68,7 +68,7 @@ def check_clips(clips: int, models: int) -> None:
 
 
 def _checked(model: MorphModel, clip: Clip) -> Originals:
-    """Check that the clip holds the very frames of the model."""
+    """Check that the clip holds the frames of the model."""
     known = dict(zip(clip.names, zip(range(len(clip.names)), clip.file_digests, strict=True), strict=True))
     inputs = model.provenance.get("inputs") or {}
     places = []

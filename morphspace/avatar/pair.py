@@ -1,7 +1,7 @@
-"""A model of two people's faces: one component, from the one to the other, on the mean face of both (ours).
+"""Build the model of two people's mean faces: one component, from one to the other, on the mean of both (ours).
 
-The two mean faces are put in correspondence as the faces of an avatar are (`common_face`), and then taken for two
-frames of one clip: mean shape, morphs and component follow as in any build (Nagle section 2).
+The mean faces are put in correspondence as those of an avatar (`common_grid`), and are then treated as two frames of
+one clip: mean shape, morphs and component follow as in any build (Nagle section 2).
 """
 
 from __future__ import annotations
@@ -34,9 +34,9 @@ POINT_DIGITS = 2  # of a px, as `keypoints --auto` writes them
 
 @dataclass(frozen=True, eq=False)
 class Pair:
-    """The model of two faces, whose training loadings (2, 1) are the first and the second, and its component.
+    """The model of two faces: its training loadings (2, 1) are the first and the second face.
 
-    `place` (2, 3) is the similarity that lays the second mean face on the first, from brow to nose.
+    `place` (2, 3) is the similarity that brings the second mean face to the first, from brow to nose.
     """
 
     model: MorphModel
@@ -46,11 +46,25 @@ class Pair:
 def pair_model(
     models: Sequence[MorphModel], *, flow: str, inputs: Mapping[str, str], versions: Mapping[str, str]
 ) -> Pair:
-    """Build the model of the mean faces of two models; the first stays where it is, the second is laid upon it.
+    """Build the model of the mean faces of two models.
 
-    The second's mean face is moved, turned and scaled so that its rigid part lies on the first's: what remains between
-    them is shape. `inputs` (name to SHA-256) and `versions` go into the provenance. Raises `BadInput` where the models
-    have no keypoints, other sizes, or show the same face.
+    The first stays in place. The second is moved, turned and scaled until its rigid part lies on that of the first,
+    so that only shape differs.
+
+    Parameters
+    ----------
+    models : sequence of two MorphModel
+    flow : str
+        The flow between the mean faces.
+    inputs : mapping
+        Name to SHA-256, for the provenance.
+    versions : mapping
+        Package to version, for the provenance.
+
+    Raises
+    ------
+    BadInput
+        If a model has no keypoints, the sizes differ, or both show the same face.
     """
     if len(models) != 2:
         raise BadInput(f"{len(models)} models make no pair: give 2")
@@ -131,7 +145,7 @@ def pair_model(
 
 
 def _place(other: MorphModel, home: MorphModel) -> Affine:
-    """Give the similarity (2, 3) that lays one mean face on another: by the skull's points, or the keypoints."""
+    """Fit the similarity (2, 3) between two mean faces, by rigid points of the mesh or by the keypoints."""
     points = [landmarks_of(model) for model in (other, home)]
     if points[0] is None or points[1] is None:
         return fitted_similarity(required_faceframe(other).points, required_faceframe(home).points)
@@ -140,7 +154,7 @@ def _place(other: MorphModel, home: MorphModel) -> Affine:
 
 
 def _keypoints(home: MorphModel, mean_field: Any) -> dict[str, Any]:
-    """Say where the keypoints of the pair come from; the first's mesh points go along, where they are known."""
+    """Return the provenance of the pair's keypoints, with the mesh points of the first model where it has them."""
     told: dict[str, Any] = {"source": "pair", "lip": lip_of(home), "on": "mean"}
     points = landmarks_of(home)
     if points is not None:

@@ -1,4 +1,4 @@
-"""Everything that blends expressions, prepared once: who takes part, on which grid, aligned onto what."""
+"""Prepare a blend once: the identities that take part, their grid and their alignment."""
 
 from __future__ import annotations
 
@@ -36,11 +36,18 @@ from morphspace.steps import single_threads
 
 @dataclass(frozen=True, eq=False)
 class Studio:
-    """Who is blended, and how.
+    """A prepared blend.
 
-    `models`, their `keys` and `labels` (k,) as they were given; `weights` (k,), sum 1 | `part` the places of those that
-    take part, in an order of their digests | `reference` and `surround` among `part`; `surround` None for flat grey |
-    `cast` of those who take part, by place in `part`.
+    Attributes
+    ----------
+    models, keys, labels : of the k identities, in the order given
+    weights : array (k,), sum 1
+    part : sequence of int
+        The places of the identities with a weight above 0, in the order of their digests.
+    reference, surround : int or None
+        Places in `part`; a `surround` of None is flat grey.
+    cast : Cast
+        The identities that take part, by their place in `part`.
     """
 
     models: Sequence[MorphModel]
@@ -57,18 +64,18 @@ class Studio:
 
     @cached_property
     def common(self) -> CommonFace:
-        """The common grid; the flow between the mean faces is found here."""
+        """The common grid; the flow between the mean faces is computed here."""
         cast = self.cast
         with single_threads():
             return common_face(cast.models, cast.keys, self.reference, self.settings.flow)
 
     @cached_property
     def shares(self) -> AnyArray:
-        """The weights of those who take part, (n,), sum 1."""
+        """The weights of the identities that take part, (n,), sum 1."""
         return self.weights[list(self.part)]
 
     def faceframe(self, source: int) -> FaceFrame:
-        """Give the faceframe onto which the expressions of `source`, by its place in `part`, are aligned."""
+        """Return the faceframe for the expressions of `source`, a place in `part`."""
         asked, models = self.settings.faceframe, self.cast.models
         if asked == MEAN:
             return mean_faceframe(models, self.shares)
@@ -79,7 +86,7 @@ class Studio:
         )
 
     def mixer(self, source: int) -> Mixer:
-        """Give what mixes the expressions of `source`, by its place in `part`; one for all unless it depends on it."""
+        """Return the mixer for the expressions of `source`, a place in `part`."""
         key = source if self.settings.faceframe == SOURCE else 0
         if key not in self.mixers:
             places = places_on(self.cast.models, self.faceframe(source))
@@ -90,7 +97,7 @@ class Studio:
         return self.mixers[key]
 
     def shows(self, source: int) -> tuple[Show, ...]:
-        """Give how everybody shows what `source` shows; only one source is kept prepared."""
+        """Prepare how each identity shows the expressions of `source`; only one source is kept."""
         if source not in self.prepared:
             self.prepared.clear()
             with single_threads():
@@ -98,11 +105,11 @@ class Studio:
         return self.prepared[source]
 
     def versions(self, source: int, frame: int) -> list[Version]:
-        """Give everybody's version of a training frame of `source`, by places in `part`."""
+        """Compute every identity's version of a training frame of `source`, by place in `part`."""
         return self.cast.versions(source, self.shows(source), frame)
 
     def pictures(self, source: int, versions: Sequence[Version]) -> list[Image]:
-        """Give a picture (h, w, 3) of every identity that was given: its version; its mean face if it has no part."""
+        """Draw every identity (h, w, 3): its version, or its mean face where it has no part."""
         mixer = self.mixer(source)
         place_of = {given: place for place, given in enumerate(self.part)}
         shown = []
@@ -116,7 +123,7 @@ class Studio:
         return shown
 
     def chosen(self) -> list[tuple[int, int]]:
-        """Give the expressions that are blended: (place in `part`, training frame), a model that comes twice once."""
+        """Choose the expressions to blend: (place in `part`, training frame). A repeated model counts once."""
         keys = self.cast.keys
         return [
             (source, frame)
@@ -126,7 +133,7 @@ class Studio:
         ]
 
     def identity(self) -> list[Any]:
-        """Give what every blended picture depends on, as JSON."""
+        """What every blended picture depends on, as JSON."""
         cast, settings = self.cast, self.settings
         faceframes = [self.faceframe(source).points.tolist() for source in range(len(cast.models))]
         return [
@@ -145,7 +152,7 @@ class Studio:
 
 
 def studio_of(models: Sequence[MorphModel], settings: AvatarSettings) -> Studio:
-    """Check what was asked and prepare it. Raises `BadInput`."""
+    """Check the settings and prepare the blend. Raises `BadInput`."""
     check_models(models)
     weights = check_settings(settings, len(models))
     keys = [model_key(model) for model in models]
@@ -171,7 +178,7 @@ def studio_of(models: Sequence[MorphModel], settings: AvatarSettings) -> Studio:
 def _place(
     name: str, labels: Sequence[str], part: Sequence[int], role: str, others: Sequence[str] = ()
 ) -> int:
-    """Give the place among those who take part of the identity called `name`. Raises `BadInput`."""
+    """Return the place in `part` of the identity called `name`. Raises `BadInput`."""
     given = identity_at(name, labels, role, others)
     if given not in part:
         raise BadInput(

@@ -1,6 +1,6 @@
-"""Which identities stand for what, and which of their expressions are blended (Nagle section 4, steps 1 and 2).
+"""Name identities and select their expressions (Nagle section 4, steps 1 and 2).
 
-Everything here depends on what the models are, never on the order in which they were given.
+Everything here depends on the models alone, never on their order.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from morphspace.storage import digest_of_array, digest_of_json
 
 
 def model_key(model: MorphModel) -> str:
-    """Give a digest of all of a model that a blend depends on: its loadings, its keypoints and its landmarks."""
+    """Compute a digest of all of a model that a blend depends on: loadings, keypoints and landmarks."""
     learned = model.landmarks
     parts = [] if learned is None else [learned.mean, learned.weights, learned.error_px]
     return digest_of_json(
@@ -32,7 +32,7 @@ def model_key(model: MorphModel) -> str:
 
 
 def labels_of(models: Sequence[MorphModel], keys: Sequence[str]) -> tuple[str, ...]:
-    """Give each model a name of its own: its identity, NAME_2, NAME_3 where several are called alike, by digest."""
+    """Return a unique name for each model: its identity, or NAME_2, NAME_3 in the order of the digests."""
     labels: dict[int, str] = {}
     for place in sorted(range(len(models)), key=lambda i: (keys[i], i)):
         name, number = models[place].identity, 1
@@ -44,9 +44,9 @@ def labels_of(models: Sequence[MorphModel], keys: Sequence[str]) -> tuple[str, .
 
 
 def nearest_to_all(models: Sequence[MorphModel]) -> int:
-    """Give the place of the model whose mean face is nearest to those of all others; the first of equals.
+    """Return the place of the model whose mean face is nearest to all others; the first of equals.
 
-    Distances are those of the mesh points after the affine, or of the mean textures where one has no mesh points.
+    Distances are those of the mesh points after the affine, or of the mean textures where a model has no mesh points.
     """
     totals = [
         sum(_apart(model, other) for other in models if other is not model) if len(models) > 1 else 0.0
@@ -56,7 +56,7 @@ def nearest_to_all(models: Sequence[MorphModel]) -> int:
 
 
 def _apart(source: MorphModel, target: MorphModel) -> float:
-    """Give how far the mean faces lie apart, in eye distances of the target; by their keypoints where that is all."""
+    """Compute the distance of two mean faces in eye distances of the target, by mesh points or else by keypoints."""
     points = [landmarks_of(model) for model in (source, target)]
     faceframe = required_faceframe(target).points
     eyes_px = float(np.hypot(*(faceframe[1] - faceframe[0])))
@@ -68,10 +68,16 @@ def _apart(source: MorphModel, target: MorphModel) -> float:
 
 
 def spread_out(loadings: LoadingTable, most: int | None) -> list[int]:
-    """Give at most `most` places of faces (n, k), spread out in loading space, in rising order; all where None.
+    """Choose at most `most` of n faces (n, k), spread out in loading space; all if None. Places in rising order.
 
-    The first is the face nearest to the mean, each next one the farthest from those chosen (Gonzalez, Theoretical
-    Computer Science 38, 1985). Distances are those of the model's inner product, in which loadings are coordinates.
+    The first is the face nearest to the mean; each next one is the farthest from those chosen (Gonzalez, Theoretical
+    Computer Science 38, 1985). Distances are those of the model's inner product.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> spread_out(np.array([[0.0], [0.1], [2.0], [-3.0]]), 3)
+    [0, 2, 3]
     """
     count = len(loadings)
     if most is None or most >= count:

@@ -1,4 +1,4 @@
-"""What can be asked of a blend, and what one blended expression is."""
+"""The settings of a blend, and one blended expression."""
 
 from __future__ import annotations
 
@@ -30,15 +30,38 @@ MOST_SHARPEN = 3.0  # with more, edges ring
 class AvatarSettings:
     """How to blend.
 
-    `weights` one a model, None for equal ones | `faceframe` onto which every version is aligned: "mean", the weighted
-    mean of all, "source", that of the identity whose expression it is, or an identity | `reference` the identity on
-    whose mean face all others are laid, None for the one nearest to them | `expressions` of each identity, None for all
-    | `method` of `mimic.METHODS`, or "auto" | `max_sd` bounds each loading | `sharpen` amount of the unsharp mask, None
-    for as sharp as the sources | `surround` the identity whose hair, neck and background stay, "flat" for grey, None
-    for the reference identity's | `correspondence` of people: that of their mean faces, "rest", or at the mouth one for
-    each "expression" | `flow` between people, and of the final build | `components` of the result |
-    `detector` of faces in the blended pictures for the final build | `clips` that the models were built from, one a
-    model, for their own frames in place of what the models make of them | `provenance` joins the result's.
+    Attributes
+    ----------
+    weights : sequence of k float, or None
+        One a model; None for equal weights.
+    faceframe : str
+        The faceframe of every version: "mean", the weighted mean of all; "source", that of the identity whose
+        expression it is;
+        or the name of an identity.
+    reference : str or None
+        The identity whose mean face is the common grid; None for the one nearest to the others.
+    expressions : int or None
+        The most expressions of each identity; None for all.
+    method : str
+        A method of mimicry, or "auto".
+    max_sd : float
+        The bound of each loading, SD of its component.
+    sharpen : float or None
+        The amount of the unsharp mask; None for the sharpness of the sources.
+    surround : str or None
+        The identity whose hair, neck and background stay; "flat" for grey; None for the reference identity.
+    correspondence : str
+        "rest": of the neutral mean faces only; "expression": at the mouth also in each expression.
+    flow : str
+        The flow between people, and of the final build.
+    components : int
+        The most components of the result.
+    detector : Detector or None
+        Finds faces in the blended pictures for the final build.
+    clips : sequence of Clip, or None
+        The clips that the models were built from, whose frames replace the models' reconstructions.
+    provenance : mapping
+        Joined to the provenance of the result.
     """
 
     weights: Sequence[float] | None = None
@@ -59,11 +82,20 @@ class AvatarSettings:
 
 @dataclass(frozen=True, eq=False)
 class Expression:
-    """One blended expression: frame `frame` of identity `source`.
+    """One blended expression.
 
-    `weights` (k,) of each version's motion and colour, sum 1, 0 for what was left out as implausible: that identity
-    enters with its mean face. `plausibility` (k,) in [0, 1], 1 for the source's own, 0 for what takes no part.
-    `name` is the training frame's in the avatar's model.
+    Attributes
+    ----------
+    source : int
+        The identity whose expression it is.
+    frame : str
+        Its training frame.
+    name : str
+        The training frame's name in the avatar's model.
+    weights : array (k,), sum 1
+        Of each version's motion and colour; 0 for an implausible version, whose identity enters with its mean face.
+    plausibility : array (k,), 0 to 1
+        1 for the source's own version, 0 for an identity without a part.
     """
 
     source: int
@@ -74,7 +106,7 @@ class Expression:
 
 
 def check_models(models: Sequence[MorphModel]) -> None:
-    """Raise `BadInput` where the models cannot be blended: fewer than two, sizes, keypoints, components."""
+    """Raise `BadInput` if the models are fewer than two, differ in size, or lack keypoints or components."""
     if len(models) < 2:
         raise BadInput(f"{len(models)} model was given: an avatar is blended from at least 2")
     first = models[0]
@@ -115,7 +147,7 @@ def _finite(model: MorphModel) -> bool:
 
 
 def check_settings(settings: AvatarSettings, count: int) -> AnyArray:
-    """Give the weights (k,), sum 1. Raises `BadInput` for settings that cannot be meant."""
+    """Return the weights (k,), sum 1. Raises `BadInput` for settings that cannot be used."""
     methods.named(settings.flow)
     if settings.correspondence not in (EXPRESSION, REST):
         raise BadInput(
@@ -160,14 +192,14 @@ def _told(weights: AnyArray) -> str:
 
 
 def identity_at(name: str, labels: Sequence[str], role: str, others: Sequence[str] = ()) -> int:
-    """Give the place of an identity by its label. Raises `BadInput` where there is none; `others` are told as well."""
+    """Return the place of an identity by its label. Raises `BadInput`, naming the labels and `others` that exist."""
     if name not in labels:
         raise BadInput(f"{role} {name!r} is none of the identities: choose {', '.join((*others, *labels))}")
     return list(labels).index(name)
 
 
 def method_of(asked: str, models: Sequence[MorphModel]) -> Method:
-    """Give the method of mimicry: guided where all models know their landmarks, else transfer, if none was asked."""
+    """Return the method of mimicry; for "auto", guided where all models know their landmarks, else transfer."""
     for method in METHODS:
         if method == asked:
             return method

@@ -1,8 +1,8 @@
-"""How sharp a face is, and the unsharp mask that gives a blend what the mean took (Nagle section 4, step 6).
+"""Measure the sharpness of a face, and restore by an unsharp mask what averaging took (Nagle section 4, step 6).
 
-Sharpness is the variance of the Laplacian of luma inside the mask. An unsharp mask adds a times what a Gaussian takes
-away, so the variance is a quadratic in the amount a, and the amount that meets a wanted sharpness over all expressions
-is its root. The mask is linear, and so is the mean of versions: it is applied once, to the blend.
+Sharpness is the variance of the Laplacian of luma inside the mask. An unsharp mask adds `a` times the difference from
+a Gaussian blur, so the variance is a quadratic in the amount `a`, and the amount for a wanted sharpness is its root.
+The mask is linear, as is the mean of versions: it is applied once, to the blend.
 """
 
 from __future__ import annotations
@@ -21,18 +21,24 @@ WELL_INSIDE = 0.5  # of the mask
 
 @dataclass(frozen=True, eq=False)
 class Curve:
-    """The variance of the Laplacian for an amount a of sharpening: v0 + 2 c a + v1 a^2."""
+    """The variance of the Laplacian for an amount `a` of sharpening: v0 + 2 c a + v1 a^2."""
 
     plain: float
     shared: float
     added: float
 
     def at(self, amount: float) -> float:
-        """Give the sharpness for an amount."""
+        """Return the sharpness for an amount."""
         return self.plain + 2 * self.shared * amount + self.added * amount**2
 
     def amount_for(self, wanted: float) -> float:
-        """Give the least amount, 0 or more, that reaches a wanted sharpness; 0 where nothing can be added."""
+        """Return the least amount, 0 or more, that reaches a wanted sharpness; 0 where nothing can be added.
+
+        Examples
+        --------
+        >>> Curve(4.0, 1.0, 1.0).amount_for(7.0)
+        1.0
+        """
         if self.plain >= wanted or self.added <= 0:
             return 0.0
         root = np.sqrt(max(self.shared**2 - self.added * (self.plain - wanted), 0.0))
@@ -40,25 +46,25 @@ class Curve:
 
 
 def detail(image: Image) -> Image:
-    """Give what a Gaussian takes away from an image (h, w, 3)."""
+    """Return the difference of an image (h, w, 3) from its Gaussian blur."""
     sd_px = RADIUS * image.shape[1]
     return image - cv2.GaussianBlur(image, (0, 0), sd_px, borderType=cv2.BORDER_REFLECT_101)
 
 
 def sharpened(image: Image, mask: Mask, amount: float) -> Image:
-    """Give the image with `amount` times its detail added inside the mask (h, w); the same array for 0."""
+    """Add `amount` times an image's detail inside the mask (h, w); the same array for 0."""
     if amount == 0:
         return image
     return image + np.float32(amount) * mask[..., None] * detail(image)
 
 
 def sharpness(image: Image, mask: Mask) -> float:
-    """Give the variance of the Laplacian of luma well inside the mask (h, w); codes of 0 to 255."""
+    """Compute the variance of the Laplacian of luma well inside the mask (h, w), in squared 8-bit codes."""
     return float(np.var(_laplacian(image)[mask > WELL_INSIDE]))
 
 
 def curve(image: Image, mask: Mask) -> Curve:
-    """Give how the sharpness of an image (h, w, 3) grows with the amount."""
+    """Compute how the sharpness of an image (h, w, 3) grows with the amount."""
     inside = mask > WELL_INSIDE
     plain, added = _laplacian(image)[inside], _laplacian(detail(image))[inside]
     together: AnyArray = np.cov(np.stack([plain, added]), bias=True)
@@ -66,7 +72,7 @@ def curve(image: Image, mask: Mask) -> Curve:
 
 
 def mean_curve(curves: list[Curve]) -> Curve:
-    """Give the mean of several curves."""
+    """Return the mean of several curves."""
     parts = np.mean([(one.plain, one.shared, one.added) for one in curves], axis=0)
     return Curve(*map(float, parts))
 

@@ -1,9 +1,9 @@
-"""One expression shown by every identity, and how far each of them can be believed (Nagle section 4, step 5).
+"""Compute one expression as every identity shows it, and the plausibility of each version (Nagle section 4, step 5).
 
-A model asked for what its person never did shows noise and torn lips, and one such version ruins a blend. So each
-version is judged: how much of the motion at lids, brows and lips is missing (`reach`), how far its loadings lie from
-the faces it knows, and whether mouth and lids open as far as the source's, which the landmark regressions tell. A
-mouth wider open than the target's ever was shows skin where teeth should be, whatever its warp says.
+A model that is asked for what its person never did draws noise and torn lips, and one such version ruins a blend. So
+each version is judged by the motion that is missing at lids, brows and lips, by the distance of its loadings from
+known faces, and by whether mouth and lids open as far as the source's, according to the landmark regressions. A mouth
+that opens further than the target's ever did shows skin in place of teeth, whatever its warp.
 """
 
 from __future__ import annotations
@@ -39,9 +39,17 @@ LEAST = 0.1  # plausibility below which a version is left out
 
 @dataclass(frozen=True, eq=False)
 class Version:
-    """An expression as one identity shows it: its `morph` on that identity's mean face, and its `plausibility`, 0 to 1.
+    """An expression as one identity shows it.
 
-    `loadings` (k,) of it in that identity's model | `is_own` whether it is the identity's own expression.
+    Attributes
+    ----------
+    morph : Morph
+        On that identity's mean face.
+    plausibility : float, 0 to 1
+    loadings : array (k,)
+        In that identity's model.
+    is_own : bool
+        Whether the expression is the identity's own.
     """
 
     morph: Morph
@@ -56,9 +64,9 @@ Show = Callable[[LoadingVector, MorphOffset], Version]
 
 @dataclass(frozen=True, eq=False)
 class Cast:
-    """The identities that take part: their models and keys, and how expressions are carried between them.
+    """The identities that take part, and how expressions are carried between them.
 
-    `originals` the frames of each model's clip, None where what the model makes of them is taken.
+    `originals` are the frames of each model's clip; None where the model's reconstructions are used.
     """
 
     models: Sequence[MorphModel]
@@ -68,7 +76,7 @@ class Cast:
     originals: Sequence[Originals | None]
 
     def shows_from(self, source: int) -> tuple[Show, ...]:
-        """Prepare every identity to show what `source` shows; one of the same model shows it as it is."""
+        """Prepare every identity to show the expressions of `source`, whose own model shows them unchanged."""
         own, original = self.models[source], self.originals[source]
         if original is not None:
             original.prepare()
@@ -78,7 +86,7 @@ class Cast:
         )
 
     def versions(self, source: int, shows: Sequence[Show], frame: int) -> list[Version]:
-        """Give the version of each identity of training frame `frame` of `source`."""
+        """Compute each identity's version of training frame `frame` of `source`."""
         model, original = self.models[source], self.originals[source]
         loadings = np.array(model.training.values[frame], np.float64)
         offset = model.offset(loadings) if original is None else original.morph(frame) - model.mean
@@ -113,7 +121,7 @@ def _projected(source: MorphModel, target: MorphModel, method: Method, max_sd: f
 
 
 def believed(version: Version) -> float:
-    """Give how much a version counts, 0 to 1."""
+    """Return the share, 0 to 1, with which a version counts."""
     return 0.0 if version.plausibility < LEAST else version.plausibility
 
 
@@ -122,15 +130,21 @@ def _know_landmarks(source: MorphModel, target: MorphModel) -> bool:
 
 
 def falling(value: float, limits: tuple[float, float]) -> float:
-    """Give 1 up to the first limit, 0 from the second, and a straight line between."""
+    """Return 1 up to the first limit, 0 from the second, and a straight line between.
+
+    Examples
+    --------
+    >>> falling(0.5, (0.0, 2.0))
+    0.75
+    """
     return float(np.clip((limits[1] - value) / (limits[1] - limits[0]), 0, 1))
 
 
 @dataclass(frozen=True, eq=False)
 class Gaps:
-    """How far lips and lids stand open, asked and shown, in eye distances of the target.
+    """The openings of lips and lids, wanted and made, in eye distances of the target.
 
-    Neutral faces differ in how far they stand open, so changes from neutral are compared.
+    Neutral faces differ in their openings, so changes from neutral are compared.
     """
 
     source: MorphModel
@@ -148,9 +162,9 @@ class Gaps:
         object.__setattr__(self, "most_px", float(max(known)))
 
     def judged(self, loadings: LoadingVector, shown: LoadingVector) -> tuple[float, float]:
-        """Give how far the worst gap misses what was asked, and how far the lips are asked beyond what they ever did.
+        """Return the largest miss of an opening, and the excess of the lips over any training face.
 
-        `loadings` (k_A,) of the source's face, `shown` (k_B,) of the target's; both in eye distances.
+        Both in eye distances. `loadings` (k_A,) are of the source's face, `shown` (k_B,) of the target's.
         """
         neutral = self._of(self.target, self.neutral.target)
         asked = self._of(self.source, loadings, self.linear)
@@ -160,7 +174,7 @@ class Gaps:
         return float(misfit) / self.eyes_px, float(asked[0] + neutral[0] - self.most_px) / self.eyes_px
 
     def _of(self, model: MorphModel, loadings: LoadingVector, linear: AnyArray | None = None) -> AnyArray:
-        """Give the gaps (3,) px of the inner lips and of both pairs of lids in a face of a model."""
+        """Return the openings (3,) px of the inner lips and of both pairs of lids in a face of a model."""
         points = _regression(model).at(loadings)
         if linear is not None:
             points = points @ linear.T

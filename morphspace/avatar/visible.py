@@ -1,7 +1,7 @@
-"""What of a mean face is face: inside its outline, and skin where another person has hair (ours).
+"""Find the visible face in a mean face: inside its outline, and skin where another person has hair (ours).
 
-An ellipse over the face takes in background beside the jaw, and a fringe over one forehead would shine through all the
-others. The outline is that of the face mesh. Hair is told by being much darker than the person's own skin, and is
+An ellipse over the face includes background beside the jaw, and hair over one forehead would show through all others.
+The outline is that of the face mesh. Hair is recognised by being much darker than the person's own skin, and is
 looked for above the brows only, where nothing else of a face is dark.
 """
 
@@ -29,7 +29,7 @@ SUBPIXEL = 4  # bits
 
 
 def inside_outline(model: MorphModel) -> Mask | None:
-    """Give a soft mask (h, w) inside the outline of a mean face; None where its mesh points are not known."""
+    """Return a soft mask (h, w) inside the outline of a mean face; None where its mesh points are not known."""
     points = landmarks_of(model)
     if points is None:
         return None
@@ -41,7 +41,7 @@ def inside_outline(model: MorphModel) -> Mask | None:
 
 
 def skin_share(home: MorphModel, texture: Image, mask: Mask) -> Mask:
-    """Give where a texture (h, w, 3) on the mean face of `home` shows skin, 1, and where hair over the forehead, 0.
+    """Return the share of skin (h, w) in a texture on the mean face of `home`: 0 is hair over the forehead.
 
     All ones where the mesh points of `home` are not known, or the mask (h, w) is empty.
     """
@@ -62,7 +62,7 @@ def skin_share(home: MorphModel, texture: Image, mask: Mask) -> Mask:
 
 
 def _forehead(points: AnyArray, height: int, width: int) -> Mask:
-    """Give all above the brows, (h, w) 0 or 1: a line through their upper edges, level beyond them."""
+    """Return the region above the brows, (h, w) 0 or 1: above a line through their upper edges, level beyond them."""
     brows = points[[*RIGHT_BROW[:5], *LEFT_BROW[:5]]]
     order = brows[:, 0].argsort(kind="stable")
     edge = np.interp(np.arange(width), brows[order, 0], brows[order, 1]) - ABOVE_BROWS * height
@@ -70,13 +70,13 @@ def _forehead(points: AnyArray, height: int, width: int) -> Mask:
 
 
 def filled(points: AnyArray, height: int, width: int) -> Mask:
-    """Fill a polygon (m, 2) px: (h, w), 1 inside and smooth at its edge."""
+    """Fill a polygon (m, 2) px: (h, w), 1 inside, smooth at its edge."""
     canvas = np.zeros((height, width), np.uint8)
     cv2.fillPoly(canvas, [np.round(points * 2**SUBPIXEL).astype(np.int32)], 255, cv2.LINE_AA, SUBPIXEL)
     return (canvas / np.float32(255)).astype(np.float32)
 
 
 def disc(radius_px: float) -> AnyArray:
-    """Give a disc for dilating and eroding, of 1 px at least."""
+    """Return a disc for dilation and erosion, with a radius of at least 1 px."""
     side = 2 * max(1, round(radius_px)) + 1
     return cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (side, side))
