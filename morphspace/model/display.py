@@ -1,7 +1,7 @@
-"""Show a model and loadings in a notebook: a card of HTML, and figures by matplotlib (ours).
+"""Display a model and loadings in a notebook: HTML cards, and figures by matplotlib (ours).
 
-`model` is a `MorphModel` and `loadings` are `Loadings`, which import this module. matplotlib is imported when a figure
-is asked for; nothing else of the package needs it.
+`model` is a `MorphModel` and `loadings` are `Loadings`, both of which import this module. matplotlib is imported for
+a figure only; nothing else in the package needs it.
 """
 
 from __future__ import annotations
@@ -17,22 +17,22 @@ from morphspace.arrays import Image
 from morphspace.errors import BadInput
 from morphspace.io.images import jpeg_bytes
 
-CARD_COMPONENTS, CARD_SD = 3, 2.0  # Nagle's figures show components at some SD from the mean
-CARD_WIDTH_PX = 90  # of a face on a card
+CARD_COMPONENTS, CARD_SD = 3, 2.0  # number; SD, as in the figures of Nagle et al.
+CARD_WIDTH_PX = 90  # px, a face on a card
 FIGURE_STEPS = 5  # faces of a component, from minus to plus
 UNIT_NAMES = {"sd": "SD of each component", "raw": "raw, of the model's inner product"}
-LEGEND_AT_MOST = 10  # lines, beyond which a legend hides the figure
+LEGEND_AT_MOST = 10  # lines; a longer legend covers the figure
 
 
 def picture_tag(image: Image, title: str, width_px: int = CARD_WIDTH_PX) -> str:
-    """Return an HTML `img` of a picture (h, w, 3) in [0, 1], with its data inside; the title is escaped."""
+    """Return an HTML `img` of a picture (h, w, 3) in [0, 1], with embedded data; the title is escaped."""
     data = base64.b64encode(jpeg_bytes(np.clip(image, 0, 1))).decode("ascii")
     words = escape(title, quote=True)
     return f'<img width="{width_px}" title="{words}" alt="{words}" src="data:image/jpeg;base64,{data}">'
 
 
 def card(heading: str, facts: Mapping[str, Any], rows: Sequence[Sequence[str]] = ()) -> str:
-    """Return an HTML card: a heading, facts as a table, and rows of pictures (`picture_tag`). Facts are escaped."""
+    """Return an HTML card: a heading, a table of facts, and rows of pictures (`picture_tag`). Facts are escaped."""
     table = "".join(
         f"<tr><th style='text-align:left'>{escape(name)}</th><td style='text-align:left'>{escape(str(value))}</td></tr>"
         for name, value in facts.items()
@@ -43,7 +43,7 @@ def card(heading: str, facts: Mapping[str, Any], rows: Sequence[Sequence[str]] =
 
 
 def model_card(model: Any) -> str:
-    """Return a model as an HTML card: who, how many components, consent; the mean face and components at +/- 2 SD."""
+    """Return a model's HTML card: identity, size, consent; the mean face and the first components at +/- 2 SD."""
     facts = {
         "frames": len(model.training.frame_names),
         "size": f"{model.size[0]} x {model.size[1]} px",
@@ -63,7 +63,7 @@ def model_card(model: Any) -> str:
 
 
 def loadings_card(loadings: Any) -> str:
-    """Return loadings as an HTML card: their size, unit and range."""
+    """Return the HTML card of loadings: size, unit and first frames."""
     count, components = loadings.values.shape
     facts = {
         "frames": count,
@@ -85,14 +85,14 @@ def plot_components(model: Any, components: int = 3, amount_sd: float = 2.0) -> 
     Raises
     ------
     BadInput
-        If the model has no component, or fewer than 1 is asked for.
+        If the model has no component, or fewer than 1 is requested.
     """
     from matplotlib.figure import Figure
 
     count = min(components, model.rank)
     if count < 1:
         raise BadInput(
-            f"{components} components were asked for and the model has {model.rank}; expected at least 1 of each."
+            f"components is {components} and the model has {model.rank}; expected at least 1 of each"
         )
     amounts = np.linspace(-amount_sd, amount_sd, FIGURE_STEPS)
     figure = Figure(figsize=(1.4 * FIGURE_STEPS, 1.8 * count), layout="constrained")

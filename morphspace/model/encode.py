@@ -1,4 +1,4 @@
-"""What verbs that read a clip with a model share: opening it, encoding its frames in order, and what to say of it."""
+"""Read a clip with a model: open it, encode its frames in order, and report changes that were made to them."""
 
 from __future__ import annotations
 
@@ -17,40 +17,47 @@ from morphspace.model.model import Loadings, MorphModel
 from morphspace.model.morph import Morph, MorphOffset
 from morphspace.steps import in_order
 
-# Two real clips made smaller, read by models of 200 px width, first ten loadings against those of the full frames:
-# r .98 at 50 px and .99 at 66, .96 to .98 at 40, .88 to .96 at 32, .80 to .88 below.
+# Times. Two real clips were reduced and encoded by models of 200 px width. Their first ten loadings correlated with
+# those of the full frames: r .99 at 66 px, .98 at 50, .96 to .98 at 40, .88 to .96 at 32, .80 to .88 below.
 ENLARGED_MUCH = 2.5
-# Energy that frames leave outside a model's space, over the variance of its training faces: .2 of frames of the same
-# recording that were held out, 2.6 to 26 of other people and of the same person on another day.
+# Energy outside the model's space over its training variance: .2 for held-out frames of the same recording, 2.6 to 26
+# for other people and for the same person on another day.
 STRANGE = 1.0
 
 
 def check_components(components: int | None) -> None:
-    """Raise `BadInput` where fewer than one component is asked for."""
+    """Check that a number of components is at least 1. Raises `BadInput` otherwise."""
     if components is not None and components < 1:
-        raise BadInput(f"{components} components were asked for: ask for at least 1")
+        raise BadInput(f"components is {components}; expected at least 1")
 
 
 def components_used(components: int | None, known: int, what: str) -> tuple[int, tuple[str, ...]]:
-    """Give how many components are used of those that are `known`, and a note where more were asked for.
+    """Return the number of components to use out of `known`, and a note if more were requested.
 
-    As in a build, so many are the most: who wants all of them need not know their number.
+    As in a build, a number above `known` means all components; None means all as well.
+
+    Examples
+    --------
+    >>> components_used(5, 20, "Ann")
+    (5, ())
+    >>> components_used(None, 20, "Ann")
+    (20, ())
     """
     check_components(components)
     if components is None or components <= known:
         return components or known, ()
-    return known, (f"{components} components were asked for, {what} has {known}: all of them are used",)
+    return known, (f"{components} components were requested; {what} has {known}, and all are used",)
 
 
 def first_components(model: MorphModel, components: int | None) -> tuple[MorphModel, tuple[str, ...]]:
-    """Give the model with its first so many components, None for all, and a note where it has fewer."""
+    """Return the model with its first `components` (None for all), and a note if it has fewer."""
     used, notes = components_used(components, model.rank, model.identity)
     return (model if used == model.rank else model.truncate(used)), notes
 
 
 @dataclass(frozen=True, eq=False)
 class EncodedFrame:
-    """A frame aligned to the model's reference, its morph as the flow saw it, and its loadings (one row)."""
+    """A frame aligned to the model's reference, its morph, and its loadings (one row)."""
 
     frame: Frame
     morph: Morph
@@ -60,9 +67,19 @@ class EncodedFrame:
 def framed_for(
     model: MorphModel, sources: tuple[str, ...], crop: tuple[int, int, int, int] | None
 ) -> FramedClip:
-    """Open a clip for a model: scaled to its frames, and cropped as its own frames were where the size is the same.
+    """Open a clip for a model: scaled to its frame size, and cropped like the build's frames if their size is equal.
 
-    Raises `BadInput` for pictures smaller than a face can be read from.
+    Parameters
+    ----------
+    model : MorphModel
+    sources : tuple of str
+        Files or folders of the clip.
+    crop : (x, y, w, h) px, optional
+
+    Raises
+    ------
+    BadInput
+        If the pictures are too small for a face to be measured.
     """
     clip = open_clip(sources)
     built = model.provenance["framing"]
@@ -73,14 +90,14 @@ def framed_for(
     width, height = framing.box[2:]
     if min(width, height) < MIN_SIDE_PX:
         raise BadInput(
-            f"pictures of {width}x{height} in {clip.name} are too small to read a face from, the frames of "
-            f"{model.identity} are {model.size[0]}x{model.size[1]}: give at least {MIN_SIDE_PX} px a side"
+            f"pictures in {clip.name} are {width}x{height} px; expected at least {MIN_SIDE_PX} px a side, to measure a "
+            f"face for frames of {model.identity} at {model.size[0]}x{model.size[1]}. Give larger pictures"
         )
     return FramedClip(clip, framing)
 
 
 def notes_on_framing(framing: Framing, identity: str, what: str = "frames") -> tuple[str, ...]:
-    """Say in one line what was done to frames so that they fit the model of `identity`, where anything was."""
+    """Report in one line how frames were cropped and scaled to fit the model of `identity`; empty if they were not."""
 
     def size(wide: int, high: int) -> str:
         return f"{wide}x{high}"
@@ -110,15 +127,28 @@ def notes_on_framing(framing: Framing, identity: str, what: str = "frames") -> t
 
 
 def notes_on_enlarging(framing: Framing, identity: str, what: str = "frames") -> tuple[str, ...]:
-    """Say the same only where frames were made larger, which no size of theirs can make good."""
+    """Report the same only if frames were enlarged, which loses small motions."""
     return notes_on_framing(framing, identity, what) if framing.scaled_size[0] > framing.box[2] else ()
 
 
 def energy_outside(offset: MorphOffset, model: MorphModel, inside: LoadingVector | None = None) -> float:
-    """Give the energy of an offset that a model's components cannot show, in variances of its training faces.
+    """Compute the energy of an offset outside the model's space, in units of its training variance.
 
-    The distance from the space (Moghaddam and Pentland 1997); see `STRANGE`. `inside` (k,) are the offset's loadings,
-    read from it where None.
+    Parameters
+    ----------
+    offset : MorphOffset
+    model : MorphModel
+    inside : array (k,), optional
+        The offset's raw loadings, if known.
+
+    Returns
+    -------
+    float
+        Distance from the face space; see `STRANGE`. Infinite if the training faces do not vary.
+
+    References
+    ----------
+    Moghaddam and Pentland, Probabilistic visual learning for object representation, IEEE PAMI 19 (1997).
     """
     basis = model.basis
     values = offset.vector
@@ -133,12 +163,12 @@ def energy_outside(offset: MorphOffset, model: MorphModel, inside: LoadingVector
 def encoded_frames(
     model: MorphModel, source: FramedClip, own: tuple[bool, ...] | None = None
 ) -> Iterator[EncodedFrame]:
-    """Encode each frame of the clip, in order, a few at a time.
+    """Encode each frame of a clip, in order, a few at a time.
 
-    What the model has drawn itself (`own`, looked up by `drawn_by` where None) lies on its reference already and is
-    not moved: a strong expression would be taken for a movement of the head.
+    Stimuli that the model itself rendered lie on its reference and are not aligned: registration would take a strong
+    expression for head movement. `own` marks them; None looks them up with `drawn_by`.
     """
-    flow = model.flow_from_reference  # prepared here, once, and not by each thread
+    flow = model.flow_from_reference  # prepared once, before the threads start
     own = drawn_by(model, source) if own is None else own
 
     def encode(item: tuple[str, Image, bool]) -> EncodedFrame:
@@ -152,14 +182,14 @@ def encoded_frames(
 
 
 def drawn_by(model: MorphModel, source: FramedClip) -> tuple[bool, ...]:
-    """Tell which frames are stimuli that this model has drawn on its own frame, by what stands in their files."""
+    """Return for each frame whether this model rendered it at its own size, by the metadata of its file."""
     framing = source.framing
     if framing.crop is not None or framing.size != framing.source_size or framing.size != model.size:
         return (False,) * len(source.names)
-    told = {path: essentials_in(path) for path in dict.fromkeys(source.clip.paths)}
+    described = {path: essentials_in(path) for path in dict.fromkeys(source.clip.paths)}
     own = {
         path: found is not None and found.get("model_id") == model.model_id and found.get("verb") != "place"
-        for path, found in told.items()
+        for path, found in described.items()
     }
     if len(source.clip.paths) != len(source.names):  # one video
         return (all(own.values()),) * len(source.names)
@@ -167,12 +197,12 @@ def drawn_by(model: MorphModel, source: FramedClip) -> tuple[bool, ...]:
 
 
 def notes_on_own(own: tuple[bool, ...]) -> tuple[str, ...]:
-    """Say how many frames were not aligned, since the model has drawn them itself; `own` as `drawn_by` gives it."""
+    """Report the number of frames that were not aligned because the model rendered them; `own` as from `drawn_by`."""
     count = sum(own)
-    return (f"{count} frames are this model's own pictures, and are read without alignment",) if count else ()
+    return (f"{count} frames were rendered by this model and are not aligned",) if count else ()
 
 
 def joined(model: MorphModel, parts: list[Loadings]) -> Loadings:
-    """Put single rows of loadings together, (n, k)."""
+    """Stack single rows of loadings, (n, k)."""
     values = np.concatenate([part.values for part in parts]) if parts else np.zeros((0, model.rank))
     return Loadings(values, tuple(name for part in parts for name in part.frame_names), model.model_id)

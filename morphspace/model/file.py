@@ -1,4 +1,4 @@
-"""What a `.morph` file must hold: every check is made here, before anything in it is used (data_spec/model-file.md)."""
+"""Read and check `.morph` files before any of their content is used (data_spec/model-file.md)."""
 
 from __future__ import annotations
 
@@ -31,15 +31,18 @@ OPTIONAL_ARRAY_KINDS: Mapping[str, tuple[int, type[np.floating[Any]]]] = {
     "landmark_mean": (2, np.float64),
     "landmark_weights": (3, np.float64),
     "landmark_error": (1, np.float64),
-}  # all of them, with `landmarks` in the document, or none
-NOT_READ_ON_OPENING = "components"  # too large; `morphspace info` reads them and checks the digest
-MEND = "copy it again or rebuild it"
+}  # all three with `landmarks` in the document, or none
+NOT_READ_ON_OPENING = "components"  # hundreds of MB; `morphspace info` reads them and checks the digest
+MEND = "Copy it again or rebuild it"
 
 
 def read_model_file(path: Path) -> tuple[dict[str, AnyArray], dict[str, Any]]:
-    """Open a model file: its arrays as memory maps and its document, checked against each other.
+    """Open a model file: arrays as memory maps and the document, checked against each other.
 
-    Raises `ModelFileError` with the name of what is wrong.
+    Raises
+    ------
+    ModelFileError
+        If the file is no model, of another version, truncated or inconsistent; the message names the part.
     """
     try:
         arrays, document = read_container(path)
@@ -47,13 +50,13 @@ def read_model_file(path: Path) -> tuple[dict[str, AnyArray], dict[str, Any]]:
         raise ModelFileError(str(error)) from error
     if document.get("format") != FORMAT:
         raise ModelFileError(
-            f"{path} is a {document.get('format')!r} file, not a {FORMAT!r}: give a .morph model"
+            f"{path} has format {document.get('format')!r}; expected {FORMAT!r}. Give a .morph model"
         )
     version = document.get("version")
     if type(version) is not int or version != FORMAT_VERSION:
         raise ModelFileError(
-            f"{path} has format version {version!r}, this morphspace reads version {FORMAT_VERSION}: "
-            "install the morphspace that wrote it"
+            f"{path} has format version {version!r}; expected {FORMAT_VERSION}. Install the morphspace that wrote "
+            "it"
         )
     _check_document(path, document)
     _check_arrays(path, arrays, len(document["training_frames"]))
@@ -62,18 +65,24 @@ def read_model_file(path: Path) -> tuple[dict[str, AnyArray], dict[str, Any]]:
 
 
 def content_digest(arrays: Mapping[str, AnyArray], document: Mapping[str, Any]) -> str:
-    """Give the SHA-256 over everything a model file says: all arrays by name, and the document without this digest."""
-    said = {key: value for key, value in document.items() if key != "content_sha256"}
-    return digest_of_json([said, {name: digest_of_array(array) for name, array in arrays.items()}])
+    """Compute the SHA-256 of a model file's content: all arrays by name, and the document without this digest."""
+    rest = {key: value for key, value in document.items() if key != "content_sha256"}
+    return digest_of_json([rest, {name: digest_of_array(array) for name, array in arrays.items()}])
 
 
 def check_content(path: Path) -> None:
-    """Read a model file whole; raise `ModelFileError` where it is not what was written."""
+    """Check that a model file is unchanged since it was written; reads it completely.
+
+    Raises
+    ------
+    ModelFileError
+        If the digest of the content differs from the recorded one.
+    """
     arrays, document = read_model_file(path)
     found, recorded = content_digest(arrays, document), document["content_sha256"]
     if found != recorded:
         raise ModelFileError(
-            f"{path} was changed after it was written: its digest is {found[:16]}, {recorded[:16]} is recorded; {MEND}"
+            f"{path} was changed after it was written: its digest is {found[:16]}; expected {recorded[:16]}. {MEND}"
         )
 
 
@@ -95,9 +104,7 @@ def _check_document(path: Path, document: Mapping[str, Any]) -> None:
     }
     for key, is_right in wanted.items():
         if not is_right:
-            raise ModelFileError(
-                f"{path}: {key} is missing or cannot be used ({document.get(key)!r:.60}); {MEND}"
-            )
+            raise ModelFileError(f"{path}: {key} is missing or invalid ({document.get(key)!r:.60}). {MEND}")
 
 
 def _check_kinds(
@@ -107,20 +114,20 @@ def _check_kinds(
         if name not in arrays or arrays[name].ndim != dimensions or arrays[name].dtype != kind:
             found = f"{arrays[name].dtype} {arrays[name].shape}" if name in arrays else "nothing"
             raise ModelFileError(
-                f"{path}: {name} should be {np.dtype(kind)} with {dimensions} axes, found {found}; {MEND}"
+                f"{path}: {name} is {found}; expected {np.dtype(kind)} with {dimensions} axes. {MEND}"
             )
 
 
 def _check_landmarks(path: Path, arrays: Mapping[str, AnyArray], entry: Any) -> None:
-    """Check the regression from loadings to landmarks, where the file has one."""
+    """Check the landmark regression if the file has one."""
     if entry is None and not set(OPTIONAL_ARRAY_KINDS) & set(arrays):
         return
     _check_kinds(path, arrays, OPTIONAL_ARRAY_KINDS)
     whole = isinstance(entry, dict) and entry.get("places") == list(LANDMARKS)
     if not (whole and _is_number(entry.get("ridge")) and type(entry.get("faces")) is int):
         raise ModelFileError(
-            f"{path}: its landmarks are not the {len(LANDMARKS)} that this morphspace reads: run `morphspace keypoints "
-            "MODEL --auto` again with the morphspace that wrote it, or build it anew"
+            f"{path}: its landmarks are invalid; expected the {len(LANDMARKS)} of this morphspace. Run `morphspace "
+            "keypoints MODEL --auto` again with the morphspace that wrote it, or rebuild it"
         )
     count, k = len(LANDMARKS), len(arrays["variances"])
     expected = {
@@ -130,9 +137,9 @@ def _check_landmarks(path: Path, arrays: Mapping[str, AnyArray], entry: Any) -> 
     }
     for name, shape in expected.items():
         if arrays[name].shape != shape:
-            raise ModelFileError(f"{path}: {name} has shape {arrays[name].shape}, {shape} expected; {MEND}")
+            raise ModelFileError(f"{path}: {name} has shape {arrays[name].shape}; expected {shape}. {MEND}")
     if (arrays["landmark_error"] < 0).any():
-        raise ModelFileError(f"{path}: its landmark errors are not all at least 0; {MEND}")
+        raise ModelFileError(f"{path}: a landmark error is negative; expected at least 0. {MEND}")
 
 
 def _is_number(value: Any) -> bool:
@@ -165,8 +172,8 @@ def _is_provenance(value: Any) -> bool:
     rate = value.get("frame_rate_hz")
     if not (rate is None or (_is_number(rate) and 0 < rate <= 1000)):
         return False
-    is_told = isinstance(reference.get("frame"), str) and isinstance(value.get("versions"), dict)
-    return is_crop and is_told and _is_pair(framing.get("source_size")) and _is_pair(framing.get("size"))
+    is_described = isinstance(reference.get("frame"), str) and isinstance(value.get("versions"), dict)
+    return is_crop and is_described and _is_pair(framing.get("source_size")) and _is_pair(framing.get("size"))
 
 
 def _check_arrays(path: Path, arrays: Mapping[str, AnyArray], frames: int) -> None:
@@ -183,9 +190,9 @@ def _check_arrays(path: Path, arrays: Mapping[str, AnyArray], frames: int) -> No
     }
     for name, shape in expected.items():
         if arrays[name].shape != shape:
-            raise ModelFileError(f"{path}: {name} has shape {arrays[name].shape}, {shape} expected; {MEND}")
+            raise ModelFileError(f"{path}: {name} has shape {arrays[name].shape}; expected {shape}. {MEND}")
     for name, array in arrays.items():
         if name != NOT_READ_ON_OPENING and not np.isfinite(array).all():
-            raise ModelFileError(f"{path}: {name} holds values that are not finite; {MEND}")
+            raise ModelFileError(f"{path}: {name} holds values that are not finite. {MEND}")
     if (arrays["variances"] < 0).any():
-        raise ModelFileError(f"{path}: its variances are not all at least 0; {MEND}")
+        raise ModelFileError(f"{path}: a variance is negative; expected at least 0. {MEND}")

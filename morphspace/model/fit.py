@@ -1,9 +1,9 @@
-"""Fit loadings to an image by what the model would draw: Gauss-Newton on the rendering error.
+"""Refine loadings on the picture: Gauss-Newton steps on the rendering error.
 
-Projecting a face on the components minimises an error in texture and warp together; what a viewer sees is the error of
-the picture. Starting from the projection, a few Gauss-Newton steps minimise just that. This is the fitting of active
-appearance models (Matthews and Baker, Active appearance models revisited, IJCV 2004, section 2), done on the mean
-face's grid, where the components need no resampling, and weighted by the area each point takes in the picture.
+A projection minimises an error in texture and warp together. An observer sees the error of the picture. A few steps
+from the projection minimise that error. This is the fitting of active appearance models (Matthews and Baker, Active
+appearance models revisited, IJCV 2004, section 2). It runs on the mean face's grid, where the components need no
+resampling, and weighs each point by its area in the picture.
 """
 
 from __future__ import annotations
@@ -20,18 +20,29 @@ from morphspace.grid import warp
 from morphspace.linear.pca import Basis
 from morphspace.model.morph import Morph, displacement_columns, texture_columns
 
-STEPS = 12  # at most; most faces stand still after three or four
-STILL = 1e-3  # a step that lowers the sum by less than this share is the last
-NOISE_VARIANCE = 1e-5  # colour^2; how strongly the prior holds; 1e-7 to 1e-4 gave the same faces on two clips
-AREA_RANGE = (0.05, 4.0)  # a point's area in the picture, limited so that folds do not count negative
-SPARED = 4  # one pixel of so many is asked how the loadings work together; all are asked where the error lies
-BLOCK_PIXELS = 2048  # a block of the Jacobian stays in the second cache
-SCHARR_SUM = 32.0  # makes the Scharr kernel a derivative per px
+STEPS = 12  # at most; most faces converge after three or four
+STILL = 1e-3  # share of the sum; a step that lowers it by less is the last
+NOISE_VARIANCE = 1e-5  # colour^2, the weight of the prior; 1e-7 to 1e-4 gave the same faces on two clips
+AREA_RANGE = (0.05, 4.0)  # px^2 of a point in the picture; a fold would have a negative area
+SPARED = 4  # pixels; one of so many gives the curvature, all give the gradient
+BLOCK_PIXELS = 2048  # pixels of the Jacobian that fit into the second cache
+SCHARR_SUM = 32.0  # scales the Scharr kernel to a derivative per px
 
 
 @dataclass(frozen=True, eq=False)
 class _State:
-    """The model at some loadings: displacement (h, w, 2), residual (3, m), weight (m,), and the sum."""
+    """The model at some loadings.
+
+    Attributes
+    ----------
+    displacement : array (h, w, 2) px
+    residual : array (3, m)
+        Picture minus model at the m pixels inside the mask.
+    weight : array (m,)
+        Mask times area in the picture.
+    cost : float
+        The sum that `Fitter.fit` minimises.
+    """
 
     displacement: Displacement
     residual: AnyArray
@@ -41,10 +52,15 @@ class _State:
 
 @dataclass(frozen=True, eq=False)
 class Fitter:
-    """Refines loadings so that the rendered face comes closest to an aligned image inside the mask.
+    """Refines loadings so that the rendered face comes closest to an aligned picture inside the mask.
 
-    `mean` is the model's mean face, `basis` (k, 5 h w) its components, `mask` (h, w). The components of the m pixels
-    inside it are copied once.
+    Attributes
+    ----------
+    mean : Morph
+        The model's mean face.
+    basis : Basis
+        Components (k, 5 h w). Those of the m pixels inside the mask are copied once.
+    mask : array (h, w)
     """
 
     mean: Morph
@@ -52,12 +68,28 @@ class Fitter:
     mask: Mask
 
     def fit(self, image: Image, start: LoadingVector, *, steps: int = STEPS) -> LoadingVector:
-        """Minimise sum_p A(p) mask(p) |I(p + u(p)) - T(p)|^2 + noise * sum_j l_j^2 / variance_j.
+        """Minimise sum_p A(p) mask(p) |I(p + u(p)) - T(p)|^2 + noise * sum_j l_j^2 / variance_j over the loadings l.
 
-        A is the area of p in the picture; image (h, w, 3); start (k,) loadings, usually the projection. How the
-        loadings work together is taken from a part of the pixels: that decides how many steps are wanted, not where
-        they lead. A step that does not lower the sum is halved. Returns the best loadings met, so
-        the sum is never larger than at the start.
+        A(p) is the area of p in the picture. The curvature of the sum comes from a subset of the pixels, the gradient
+        from all: the subset changes the number of steps, not the minimum. A step that does not lower the sum is
+        halved, twice at most.
+
+        Parameters
+        ----------
+        image : array (h, w, 3) float32
+        start : array (k,)
+            Raw loadings, usually the projection.
+        steps : int
+            The largest number of steps.
+
+        Returns
+        -------
+        array (k,)
+            The best loadings found; their sum is never larger than at the start.
+
+        References
+        ----------
+        Matthews and Baker (2004), section 2; area weights, prior and step halving are ours.
         """
         best = np.array(start, np.float64)
         read = warp.spline_reader([image[..., channel] for channel in range(3)])
@@ -84,12 +116,12 @@ class Fitter:
 
     @cached_property
     def _textures(self) -> AnyArray:
-        """The components' textures inside the mask, (k, 3 m), colour by colour."""
+        """The components' textures inside the mask, (k, 3 m), channel by channel."""
         return self._of_inside(texture_columns(self.mask.shape), 3)
 
     @cached_property
     def _displacements(self) -> AnyArray:
-        """The components' displacements inside the mask, (k, 2 m), right and then down."""
+        """The components' displacements inside the mask, (k, 2 m), first to the right, then down."""
         return self._of_inside(displacement_columns(self.mask.shape), 2)
 
     def _of_inside(self, part: slice, channels: int) -> AnyArray:
@@ -102,7 +134,7 @@ class Fitter:
         return NOISE_VARIANCE / np.maximum(self.basis.variances, np.finfo(np.float64).tiny)
 
     def _planes(self, picture: AnyArray) -> AnyArray:
-        """Give the pixels inside the mask of a picture (h, w, c), (c, m)."""
+        """Return the pixels (c, m) inside the mask of a picture (h, w, c)."""
         return np.ascontiguousarray(picture.reshape(self.mask.size, -1)[self._inside].T)
 
     def _at(self, loadings: LoadingVector, read: Callable[[AnyArray, AnyArray], AnyArray]) -> _State:
@@ -122,21 +154,21 @@ class Fitter:
         return self._planes(self.mean.texture)
 
     def _along(self, slopes: list[AnyArray], state: _State) -> tuple[AnyArray, AnyArray]:
-        """Give the picture's slopes to the right and down where the face lies, (3, m) each."""
+        """Return the picture's gradient to the right and down at the face's points, (3, m) each."""
         right, down = (self._planes(warp.sample_field(slope, state.displacement)) for slope in slopes)
         return right, down
 
     def _downhill(
         self, loadings: LoadingVector, along: tuple[AnyArray, AnyArray], state: _State
     ) -> LoadingVector:
-        """Give half the slope of the sum, turned round, (k,): d residual / d l_j = grad I . u_j - T_j."""
+        """Compute half the negative gradient of the sum, (k,): d residual / d l_j = grad I . u_j - T_j."""
         weighed = state.weight * state.residual
         by_moving = np.concatenate([(weighed * slope).sum(axis=0) for slope in along])
-        told = self._textures @ weighed.reshape(-1) - self._displacements @ by_moving
-        return np.asarray(told, np.float64) - self._precision * loadings
+        gradient = self._textures @ weighed.reshape(-1) - self._displacements @ by_moving
+        return np.asarray(gradient, np.float64) - self._precision * loadings
 
     def _normal(self, along: tuple[AnyArray, AnyArray], state: _State) -> AnyArray:
-        """Give half the curvature of the sum, (k, k), from one pixel of `SPARED`."""
+        """Compute half the Gauss-Newton curvature of the sum, (k, k), from one pixel in `SPARED`."""
         rank, count = self.basis.rank, len(self._inside)
         textures = self._textures.reshape(rank, 3, count)[:, :, ::SPARED]
         displacements = self._displacements.reshape(rank, 2, count)[:, :, ::SPARED]

@@ -1,4 +1,4 @@
-"""Build a model from the frames of a clip: crop, size, mask and reference as they are asked for (Nagle section 2)."""
+"""Build a model from a clip, with its crop, size, mask and reference frame (Nagle et al., section 2)."""
 
 from __future__ import annotations
 
@@ -25,45 +25,49 @@ from morphspace.outcome import versions
 from morphspace.steps import Steps
 from morphspace.storage import digest_of_array
 
-DEFAULT_SIDE_PX = 400  # frames larger than this are scaled to cover 200 x 240 unless a size is given
+DEFAULT_SIDE_PX = 400  # px, longer side; larger frames are scaled to `DEFAULT_SIZE`
 MOST_WEIGHT = 1000.0  # colour per px; builds choose 0.02 to 0.1
-LEAST_FACEFRAME_PX = 4.0  # below it the points do not place a face
-DEFAULT_SIZE = (200, 240)  # Nagle section 2
+LEAST_FACEFRAME_PX = 4.0  # px; nearer points do not determine a face's position
+DEFAULT_SIZE = (200, 240)  # px, w and h (Nagle et al., section 2)
 
 Crop = tuple[int, int, int, int] | Literal["auto"]
-"""A box (x, y, w, h) px of every frame, or `auto`: around the head, as found in a spread of frames."""
+"""A box (x, y, w, h) px of every frame, or `auto` for a box around the head."""
 
 
 @dataclass(frozen=True, eq=False)
 class ClipSettings:
-    """How to build a model from a clip.
+    """Settings of a build from a clip.
 
-    Parameters
+    Attributes
     ----------
-    components
-        The largest number of components to keep.
-    size
-        (w, h) px of the model's frames; None for the frames' own, 200 x 240 where they are larger than 400 px.
-    crop
-        A box (x, y, w, h) px of every frame, or "auto": around the head.
-    landmarks
-        "auto" finds the face in every frame where the detector's files are present; "anchor" also holds the flow to
-        the points; "none" does not look for it.
-    mask
-        A grey picture of the reference's size, white where the face is.
-    reference
-        The name or file of the reference frame; None to choose it.
-    start
-        "auto" tries hard frames again from a neighbour's flow, "none" does not.
-    warp_weight
+    components : int
+        The largest number of components.
+    size : (w, h) px, optional
+        Of the model's frames; None for the frames' own size, or 200 x 240 if they are larger than 400 px.
+    crop : (x, y, w, h) px or "auto", optional
+        A box of every frame, or "auto" for a box around the head.
+    landmarks : {"auto", "anchor", "none"}
+        "auto" finds the face in every frame if the detector's networks are installed. "anchor" also anchors the flow
+        to the
+        face points. "none" runs no detector.
+    mask : Path, optional
+        A grey picture of the reference's size, white inside the face.
+    reference : str, optional
+        Name or file of the reference frame; None to choose it.
+    registration : {"none", "similarity", "affine"}
+    flow : str
+        Flow method.
+    start : {"auto", "none"}
+        "auto" repeats frames that were hard to match from a neighbour's flow.
+    warp_weight : float, optional
         Colour per px; None to cross-validate.
-    identity
-        Who is shown; None for what the clip says.
+    identity : str, optional
+        Name of the person; None for the clip's.
 
     Raises
     ------
     BadInput
-        Where the warp weight is not above 0 and at most `MOST_WEIGHT`.
+        If the warp weight is not above 0 and at most `MOST_WEIGHT`.
     """
 
     components: int = COMPONENTS
@@ -82,13 +86,35 @@ class ClipSettings:
         weight = self.warp_weight
         if weight is not None and not 0 < weight <= MOST_WEIGHT:
             raise BadInput(
-                f"the warp weight is {weight}; expected a number above 0, at most {MOST_WEIGHT:g} colour per px. Give "
+                f"the warp weight is {weight}; expected above 0 and at most {MOST_WEIGHT:g} colour per px. Give "
                 "such a number, or auto"
             )
 
 
 def build_clip(clip: Clip, asked: ClipSettings, work_folder: Path) -> Steps[tuple[Build, tuple[str, ...]]]:
-    """Build a model from an open clip; return the build, and notes on what was done to the frames."""
+    """Build a model from an open clip; a generator of steps.
+
+    Parameters
+    ----------
+    clip : Clip
+    asked : ClipSettings
+    work_folder : Path
+        Keeps finished frames, from which an interrupted build continues.
+
+    Returns
+    -------
+    build : Build
+    notes : tuple of str
+        Changes that were made to the frames.
+
+    Raises
+    ------
+    BadInput
+        As `build_steps`; also if mask, reference or faceframe do not fit the clip, or no face is found to crop
+        around.
+    MissingModels
+        If the settings need the detector and its networks are not installed.
+    """
     detector, missing = detector_for(asked.landmarks)
     notes = list(missing)
     crop, found_crop = asked.crop, None
@@ -126,12 +152,20 @@ def build_clip(clip: Clip, asked: ClipSettings, work_folder: Path) -> Steps[tupl
 
 
 def source_size(size: tuple[int, int], crop: tuple[int, int, int, int] | None) -> tuple[int, int]:
-    """Give the size (w, h) px of what is used of each image: the crop, or all of it."""
+    """Return the size (w, h) px of the used part of each image: the crop, or the whole."""
     return size if crop is None else (crop[2], crop[3])
 
 
 def default_size(size: tuple[int, int], crop: tuple[int, int, int, int] | None) -> tuple[int, int]:
-    """Give the model's frame size (w, h) where none was asked for: their own, or 200 x 240 where they are large."""
+    """Return the default frame size (w, h) px of a model: the frames' own, or 200 x 240 if they are large.
+
+    Examples
+    --------
+    >>> default_size((1920, 1080), None)
+    (200, 240)
+    >>> default_size((1920, 1080), (0, 0, 160, 192))
+    (160, 192)
+    """
     used = source_size(size, crop)
     return DEFAULT_SIZE if max(used) > DEFAULT_SIDE_PX else used
 
@@ -147,39 +181,50 @@ def _mask(
         mask = framing.apply(np.repeat(mask[..., None], 3, axis=2))[..., 0]
     elif size != framing.size:
         raise BadInput(
-            f"the mask {path} is {size[0]}x{size[1]}, the frames are {source_size[0]}x{source_size[1]} and the model's "
-            f"{framing.size[0]}x{framing.size[1]}: draw it at one of these sizes"
+            f"the mask {path} is {size[0]}x{size[1]} px; expected {source_size[0]}x{source_size[1]}, the size of the "
+            f"frames, or {framing.size[0]}x{framing.size[1]}, that of the model. Draw it at one of these sizes"
         )
     return mask, digest_of_array(mask)
 
 
 def _index_of(reference: str, clip: Clip) -> int:
-    """Find the frame the user means by its name, with or without folder and suffix."""
+    """Find a frame by name, with or without folder and suffix."""
     for wanted in (reference, Path(reference).name, Path(reference).stem):
         if wanted in clip.frame_names:
             return clip.frame_names.index(wanted)
     raise BadInput(
-        f"there is no frame {reference!r} in {clip.name}: its frames are {clip.frame_names[0]} to "
+        f"frame {reference!r} is not in {clip.name}; expected a name from {clip.frame_names[0]} to "
         f"{clip.frame_names[-1]}"
     )
 
 
 def marked_faceframe(clip: Clip, framing: Framing) -> tuple[FaceFrame | None, int | None, tuple[str, ...]]:
-    """Return the faceframe of a clip's sidecar at the model's size, the index of its frame, and notes on it.
+    """Read the faceframe of a clip's sidecar at the model's size.
 
-    The first two are None where no faceframe is marked. Raises `BadInput` for points outside the picture, or too close.
+    Returns
+    -------
+    faceframe : FaceFrame or None
+        None if the sidecar marks none.
+    index : int or None
+        The frame on which it was marked.
+    notes : tuple of str
+
+    Raises
+    ------
+    BadInput
+        If points lie outside the picture or too close to each other.
     """
     marked = clip.sidecar.faceframe
     if marked is None:
         return None, None, ()
     notes = marked.notes
-    marked = MarkedFaceframe(marked.image, marked.points, clip.size)  # checks that it lies in the picture
+    marked = MarkedFaceframe(marked.image, marked.points, clip.size)  # raises outside the picture
     points = apply_affine(inverse_affine(framing.to_source), marked.points)
     width, height = np.hypot(*(points[1] - points[0])), np.hypot(*(points[2] - points[:2].mean(axis=0)))
     if min(width, height) < LEAST_FACEFRAME_PX:
         raise BadInput(
             f"the faceframe of {marked.image} is {width:.1f} px from eye to eye and {height:.1f} px from eyes to "
-            f"philtrum at the model's size, at least {LEAST_FACEFRAME_PX:g} px are needed: mark it again"
+            f"philtrum at the model's size; expected at least {LEAST_FACEFRAME_PX:g} px. Mark it again"
         )
     return FaceFrame.at(points), _index_of(marked.image, clip), notes
 

@@ -1,4 +1,4 @@
-"""Where keypoints come from: a detector, points that a person gave, or a file of marked points."""
+"""Sources of keypoints: a detector, points given by a person, or a file of marked points."""
 
 from __future__ import annotations
 
@@ -25,19 +25,32 @@ from morphspace.model.keypoints import (
     picture_to_mean,
     point_names,
 )
-from morphspace.model.landmarks import LEAST_FACES, LandmarkRegression, told_errors
+from morphspace.model.landmarks import LEAST_FACES, LandmarkRegression, error_summary
 from morphspace.model.model import MorphModel
 from morphspace.steps import Steps
 from morphspace.storage import digest_of_file
 
-FAR = 0.5  # eye distances from the landmarks; points that mark the same face lie within a quarter
+FAR = 0.5  # eye distances; keypoints and landmarks of one face agree to a quarter
 Marked = Literal["mean", "reference"]
-"""Where points were marked: on the mean face, or on the reference frame's own picture."""
+"""The picture on which points were marked: the mean face, or the reference frame's own picture."""
 
 
 @dataclass(frozen=True, eq=False)
 class FoundKeypoints:
-    """A checked faceframe, the record of where it came from, and what a person should know of it."""
+    """Keypoints from one source.
+
+    Attributes
+    ----------
+    faceframe : FaceFrame
+        Checked, on the mean face.
+    origin : mapping
+        The record of the source for the provenance.
+    lines : tuple of str
+        Results for the user.
+    notes : tuple of str
+        Warnings for the user.
+    landmarks : LandmarkRegression or None
+    """
 
     faceframe: FaceFrame
     origin: Mapping[str, Any]
@@ -47,15 +60,15 @@ class FoundKeypoints:
 
 
 def detected_keypoints(model: MorphModel, detector: Detector) -> Steps[FoundKeypoints]:
-    """Find the keypoints in the faces of a model. Return `FoundKeypoints`."""
+    """Find the keypoints with a detector in faces of the model; a generator of steps that returns `FoundKeypoints`."""
     found = yield from detect_faceframe(model, detector)
     eyes_px = float(np.hypot(*np.diff(found.faceframe.points[:2], axis=0)[0]))
     worst = float(found.spread_px.max()) / eyes_px
-    said = f"found in {found.found} of {found.faces} faces; they lie {_listed(found.spread_px)} px from it (median)"
+    line = f"found in {found.found} of {found.faces} faces; they lie {_listed(found.spread_px)} px from it (median)"
     notes: tuple[str, ...] = (
         (
-            f"the detections lie {worst:.0%} of the eye distance apart: look at the picture, and mark the points with "
-            "--set if they are wrong",
+            f"the detections lie {worst:.0%} of the eye distance apart; expected at most {WIDE_SPREAD:.0%}. Check the "
+            "picture, and mark wrong points with --set",
         )
         if worst > WIDE_SPREAD
         else ()
@@ -64,18 +77,34 @@ def detected_keypoints(model: MorphModel, detector: Detector) -> Steps[FoundKeyp
     if learned is None:
         if found.found <= LEAST_FACES:
             notes += (
-                f"a face was found in {found.found} faces of the model, too few to learn where its landmarks lie: "
-                "`mimic --method guided` will not work with it; build it from more frames",
+                f"a face was found in {found.found} faces of the model; its landmark regression needs more than "
+                f"{LEAST_FACES}, and `mimic --method guided` needs the regression. Build it from more frames",
             )
-        return FoundKeypoints(found.faceframe, found.origin, (said,), notes)
-    taught = f"landmarks learned from {learned.faces} faces; {told_errors(learned)}"
-    return FoundKeypoints(found.faceframe, found.origin, (said, taught), notes, learned)
+        return FoundKeypoints(found.faceframe, found.origin, (line,), notes)
+    learned_line = f"landmarks learned from {learned.faces} faces; {error_summary(learned)}"
+    return FoundKeypoints(found.faceframe, found.origin, (line, learned_line), notes, learned)
 
 
 def given_keypoints(
     model: MorphModel, points: Points, lip: Lip | None = None, on: Marked = "mean"
 ) -> FoundKeypoints:
-    """Check points (3, 2) px that a person gave, and carry them to the mean face. Raises `BadInput`."""
+    """Check points (3, 2) px that a person gave, and carry them to the mean face.
+
+    Parameters
+    ----------
+    model : MorphModel
+    points : array (3, 2) px
+        Right eye, left eye, lip point.
+    lip : {"philtrum", "upper-lip"}, optional
+        The meaning of the third point; None for the philtrum.
+    on : {"mean", "reference"}
+        The picture on which they were marked: the mean face, or the reference frame's own picture.
+
+    Raises
+    ------
+    BadInput
+        If the points lie outside the picture or span no upright face.
+    """
     faceframe, notes = _on_mean(model, np.array(points, np.float64), on, "--set", None)
     origin = {"source": "set", "lip": lip or "philtrum", "on": on}
     return FoundKeypoints(faceframe, origin, (), notes)
@@ -84,7 +113,21 @@ def given_keypoints(
 def read_keypoints(
     model: MorphModel, path: Path, lip: Lip | None = None, y_axis: YAxis = "auto", on: Marked = "mean"
 ) -> FoundKeypoints:
-    """Read marked points from a file and carry them to the mean face. Raises `BadInput`."""
+    """Read marked points from a file and carry them to the mean face.
+
+    Parameters
+    ----------
+    model, lip, on
+        As `given_keypoints`.
+    path : Path
+    y_axis : {"auto", "up"}
+        "up" if y counts upwards in the file; "auto" follows the format.
+
+    Raises
+    ------
+    BadInput
+        If the file has no such points, or they lie outside the picture or span no upright face.
+    """
     height = framing_of(model).source_size[1] if on == "reference" else model.size[1]
     marked = read_marked_points(path, height, lip=lip, y_axis=y_axis)
     turned = _turned_words(path, height, lip, y_axis, marked.points)
@@ -101,7 +144,7 @@ def read_keypoints(
 
 
 def _turned_words(path: Path, height: int, lip: Lip | None, y_axis: YAxis, points: Points) -> str | None:
-    """Say how to count y in the file the other way, where its face would then stand upright in the picture."""
+    """Return the option that would count y the other way, or None if the face would still not be upright."""
     is_turned = y_axis == "up"
     other: YAxis = "auto" if is_turned else "up"
     x = read_marked_points(path, height, lip=lip, y_axis=other).points
@@ -115,8 +158,9 @@ def _turned_words(path: Path, height: int, lip: Lip | None, y_axis: YAxis, point
 def _on_mean(
     model: MorphModel, points: Points, on: Marked, name: str, turned: str | None
 ) -> tuple[FaceFrame, tuple[str, ...]]:
-    """Check marked points (3, 2) px and carry them to the mean face; `name` is where they came from, for errors, and
-    `turned` is what would turn their y round, None where that would not help.
+    """Check marked points (3, 2) px and carry them to the mean face.
+
+    Errors call the points `name`, and recommend `turned` if it is not None (`_turned_words`).
     """
     pictured = "points in the pixels of the picture the model was built from"
     if on == "reference":
@@ -137,12 +181,12 @@ def _on_mean(
 
 
 def far_notes(model: MorphModel) -> tuple[str, ...]:
-    """Say where a keypoint lies far from where the model's landmarks have it: the two then contradict each other."""
+    """Warn of a keypoint that lies far from the model's landmarks for it."""
     if model.landmarks is None or model.faceframe is None:
         return ()
     lip = (
         0 if lip_of(model) == "philtrum" else UPPER_LIP_BOTTOM
-    )  # of the mesh; 0 is the bow, just below the philtrum
+    )  # mesh point 0 is the cupid's bow, just below the philtrum
     places = [[LANDMARKS.index(place) for place in group] for group in (RIGHT_LIDS, LEFT_LIDS, (lip,))]
     learned = np.array([model.landmarks.mean[rows].mean(axis=0) for rows in places])
     eyes_px = float(np.hypot(*(learned[1] - learned[0])))
@@ -152,9 +196,9 @@ def far_notes(model: MorphModel) -> tuple[str, ...]:
     far = int(apart.argmax())
     x, y = learned[far].tolist()
     return (
-        f"the {point_names(model)[far]} lies {apart[far]:.1f} eye distances from {x:.1f},{y:.1f}, where the model's "
-        "landmarks have it, and `mimic --method guided`, which goes by both, would go wrong: look at the picture, and "
-        "set the points again or find both anew with --auto",
+        f"the {point_names(model)[far]} lies {apart[far]:.1f} eye distances from the model's landmark for it at "
+        f"{x:.1f},{y:.1f}; expected at most {FAR:g}, as `mimic --method guided` uses both. Check the picture; set the "
+        "points again, or find both with --auto",
     )
 
 

@@ -1,9 +1,9 @@
-"""The three keypoints of a model, and the affine that links two models through them (Nagle section 3, step 2).
+"""The three keypoints of a model, and the affine between two models (Nagle et al., section 3, step 2).
 
-The points lie on the mean face. They are checked here, whoever gave them; points that were marked on the reference are
-carried to the mean face through the mean shape, and points found in many faces are carried there through the warp of
-each (ours: a median over a whole clip is steadier than any single detection). The same detections teach where the
-landmarks of a face lie for given loadings (`landmarks.learn_landmarks`).
+The points lie on the mean face. All are checked here. Points that were marked on the reference are carried to the
+mean face by the mean shape. Points that were detected in many faces are carried there by the warp of each face, and
+their median is taken (ours: it varies less than a single detection). The same detections train the landmark
+regression (`landmarks.learn_landmarks`).
 """
 
 from __future__ import annotations
@@ -30,22 +30,31 @@ from morphspace.steps import Step, Steps, spread
 LIPS: tuple[Lip, ...] = ("philtrum", "upper-lip")
 POINT_NAMES = ("right eye", "left eye", "philtrum")
 
-LEAST_EYES_PX = 4.0  # from eye to eye; below it an error of half a pixel turns the face by 7 degrees
-LEAST_DEPTH = 0.15  # of the eye distance, from the line through the eyes to the lip; faces have 0.7 to 1.2
-FACES = 200  # of a model that are looked at, evenly spread over its training frames, besides the mean
-LEAST_FOUND = 3  # faces; a median of fewer is one detection
+LEAST_EYES_PX = 4.0  # px, from eye to eye; nearer, an error of half a pixel turns the face by 7 degrees
+LEAST_DEPTH = 0.15  # eye distances from the line through the eyes to the lip; 0.7 to 1.2 in faces
+FACES = 200  # training faces in which keypoints are detected, evenly spread, besides the mean
+LEAST_FOUND = 3  # faces; a median of fewer rejects no outlier
 MARK_AGAIN = "mark them again"
 TURN_UPRIGHT = "mark the eyes above the lip, or turn the face upright"
-WIDE_SPREAD = 0.05  # of the eye distance; beyond it the detections contradict each other
+WIDE_SPREAD = 0.05  # eye distances; above it the detections contradict each other
 
 
 @dataclass(frozen=True, eq=False)
 class DetectedFaceframe:
-    """A faceframe found in `faces` faces of a model, of which `found` showed one to the detector.
+    """A faceframe that a detector found in faces of a model.
 
-    `spread_px` (3,) is the median distance of the detections from the point, each carried to the mean face; `points`
-    (n, 2) px are all that the detector finds, on the mean face; `landmarks` is what was learned of the training faces,
-    None where the detector finds other points than the mesh's 478 or finds them in fewer than `LEAST_FACES`.
+    Attributes
+    ----------
+    faceframe : FaceFrame
+        On the mean face.
+    spread_px : array (3,) px
+        Median distance of the detections, carried to the mean face, from each point.
+    points : array (n, 2) px
+        All points of the detector on the mean face.
+    faces, found : int
+        Faces that were searched, and those in which a face was found.
+    landmarks : LandmarkRegression or None
+        None if the detector does not find the mesh's 478 points, or finds them in fewer than `LEAST_FACES` faces.
     """
 
     faceframe: FaceFrame
@@ -57,7 +66,7 @@ class DetectedFaceframe:
 
     @property
     def origin(self) -> dict[str, Any]:
-        """What a model's provenance says of keypoints that were detected; see `MorphModel.with_faceframe`."""
+        """The entry `keypoints` of a model's provenance for detected points (`MorphModel.with_faceframe`)."""
         return {
             "source": "auto",
             "lip": "philtrum",
@@ -77,11 +86,31 @@ def checked_faceframe(
     if_outside: str = MARK_AGAIN,
     if_upside_down: str = TURN_UPRIGHT,
 ) -> tuple[FaceFrame, tuple[str, ...]]:
-    """Give the faceframe of three points (3, 2) px on a face of `size` (w, h) px, and notes on what was mended.
+    """Check three points on a face and return its faceframe.
 
-    Eyes in the wrong order are exchanged, which is noted: right is the subject's right, the smaller x. Raises
-    `BadInput` for points outside the face, not finite, repeated, on one line, upside down or too close; `origin` names
-    them, `if_outside` and `if_upside_down` say what to do about it.
+    Eyes in the wrong order are exchanged: right is the subject's right, the smaller x.
+
+    Parameters
+    ----------
+    points : array (3, 2) px
+        Right eye, left eye, lip point.
+    size : (w, h) px
+        Of the face's picture.
+    origin : str
+        Names the points in messages.
+    if_outside, if_upside_down : str
+        What the user should do in these cases.
+
+    Returns
+    -------
+    faceframe : FaceFrame
+    notes : tuple of str
+        A note if the eyes were exchanged.
+
+    Raises
+    ------
+    BadInput
+        If points are outside the face, not finite, repeated, on one line, upside down or too close.
     """
     points, notes = eyes_in_order(points, origin)
     for name, (x, y) in zip(POINT_NAMES, points.tolist(), strict=True):
@@ -95,31 +124,46 @@ def checked_faceframe(
 
 
 def _check_triangle(points: Points, origin: str, if_upside_down: str = TURN_UPRIGHT) -> None:
-    """Raise `BadInput` where the points, eyes in order, do not span a face that stands upright."""
+    """Check that the points, eyes in order, span an upright face. Raises `BadInput` otherwise."""
     right, left, lip = points
     eyes = left - right
     distance = float(np.hypot(*eyes))
     if distance < LEAST_EYES_PX:
         raise BadInput(
-            f"{origin}: the eyes are {distance:.1f} px apart, at least {LEAST_EYES_PX:g} px are needed: mark them "
-            "again, or build the model from larger frames"
+            f"{origin}: the eyes are {distance:.1f} px apart; expected at least {LEAST_EYES_PX:g} px. Mark them again, "
+            "or build the model from larger frames"
         )
     depth = float(eyes[0] * (lip - right)[1] - eyes[1] * (lip - right)[0]) / distance
     if abs(depth) < LEAST_DEPTH * distance:
         raise BadInput(
-            f"{origin}: the three points lie on one line (the lip is {abs(depth):.1f} px from the line through the "
-            f"eyes, which are {distance:.1f} px apart): mark them again"
+            f"{origin}: the three points lie on one line: the lip is {abs(depth):.1f} px from the line through the "
+            f"eyes; expected at least {LEAST_DEPTH * distance:.1f} px. Mark them again"
         )
     if depth < 0:
         raise BadInput(
-            f"{origin}: the lip lies {-depth:.1f} px above the eyes, but y counts down here: {if_upside_down}"
+            f"{origin}: the lip lies {-depth:.1f} px above the eyes; expected below, as y counts down: {if_upside_down}"
         )
 
 
 def affine_between(source: FaceFrame, target: FaceFrame) -> Affine:
-    """Give the affine (2, 3) that moves the points of `source` onto those of `target` (Nagle section 3, step 2).
+    """Compute the affine (2, 3) that moves the points of `source` onto those of `target`.
 
-    Raises `BadInput` where one of them does not span a face: points repeated, on one line, mirrored, too close.
+    Raises
+    ------
+    BadInput
+        If the points of one are repeated, on one line, mirrored or too close.
+
+    References
+    ----------
+    Nagle et al., section 3, step 2.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> one = FaceFrame.at(np.array([[20.0, 30.0], [40.0, 30.0], [30.0, 46.0]]))
+    >>> other = FaceFrame.at(2 * one.points + (1, 5))
+    >>> (affine_between(one, other) @ (20, 30, 1)).round(6).tolist()
+    [41.0, 65.0]
     """
     for faceframe, name in ((source, "the source's faceframe"), (target, "the target's faceframe")):
         _check_triangle(faceframe.points, name)
@@ -128,23 +172,29 @@ def affine_between(source: FaceFrame, target: FaceFrame) -> Affine:
 
 
 def affine_between_models(source: MorphModel, target: MorphModel) -> Affine:
-    """Give the affine (2, 3) from the mean face of `source` to that of `target`.
+    """Compute the affine (2, 3) from the mean face of `source` to that of `target`.
 
-    Raises `BadInput` where one has no keypoints (the message says the command), or their third points mark different
-    things.
+    Raises
+    ------
+    BadInput
+        If a model has no keypoints, or the third points have different meanings.
+
+    References
+    ----------
+    Nagle et al., section 3, step 2.
     """
     frames = (required_faceframe(source), required_faceframe(target))
     lips = (lip_of(source), lip_of(target))
     if lips[0] != lips[1]:
         raise BadInput(
-            f"the third keypoint of {source.identity} marks the {lips[0]}, that of {target.identity} the {lips[1]}: "
-            "set both the same way with `morphspace keypoints`"
+            f"the third keypoint of {source.identity} marks the {lips[0]}, that of {target.identity} the {lips[1]}; "
+            "expected the same point. Set both alike with `morphspace keypoints`"
         )
     return affine_between(*frames)
 
 
 def required_faceframe(model: MorphModel) -> FaceFrame:
-    """Give the faceframe of a model. Raises `BadInput` with the command that sets it where it has none."""
+    """Return the faceframe of a model. Raises `BadInput` with the command that sets it if there is none."""
     if model.faceframe is None:
         raise BadInput(
             f"the model of {model.identity} has no keypoints: set them with `morphspace keypoints MODEL --auto`, or "
@@ -154,29 +204,29 @@ def required_faceframe(model: MorphModel) -> FaceFrame:
 
 
 def required_landmarks(model: MorphModel) -> LandmarkRegression:
-    """Give the landmark regression of a model. Raises `BadInput` with the command that learns it where it has none."""
+    """Return the landmark regression of a model. Raises `BadInput` with a remedy if there is none."""
     if model.landmarks is None:
         raise BadInput(
-            f"the model of {model.identity} does not know where its landmarks lie: {how_to_learn(model, 'MODEL')}, or "
-            "choose a method that needs none"
+            f"the model of {model.identity} has no landmark regression: {how_to_learn(model, 'MODEL')}, or choose a "
+            "method that needs none"
         )
     return model.landmarks
 
 
 def how_to_learn(model: MorphModel, name: str) -> str:
-    """Say how a model comes to know its landmarks: by the command, with `name` for its file, where that can help."""
+    """Return the remedy for a model without landmark regression: the command on the file `name`, or another build."""
     count = len(model.training.values)
     if count < LEAST_FACES:
         return (
-            f"it holds {count} faces, too few to learn them from: build it from {LEAST_FACES} frames or more, of "
-            "different expressions"
+            f"it has {count} training faces; expected at least {LEAST_FACES}. Build it from more frames, of different "
+            "expressions"
         )
     origin = model.provenance.get("keypoints")
     found = origin.get("found") if isinstance(origin, dict) and origin.get("source") == "auto" else None
     if isinstance(found, int) and found <= LEAST_FACES:
         return (
-            f"a face was found in {found} of its {count} faces, too few to learn them from: build it from more or "
-            "larger frames that show the whole face"
+            f"a face was found in {found} of its {count} training faces; expected more than {LEAST_FACES}. Build it "
+            "from more or larger frames of the whole face"
         )
     return f"run `morphspace keypoints {name} --auto`"
 
@@ -188,19 +238,19 @@ def region_of(model: MorphModel, name: str) -> Mask:
 
 
 def lip_of(model: MorphModel) -> Lip:
-    """Give what the third point of a model's faceframe marks; the philtrum where nothing else is recorded."""
+    """Return the meaning of the third point of a model's faceframe; the philtrum if none is recorded."""
     origin = model.provenance.get("keypoints")
     lip = origin.get("lip") if isinstance(origin, dict) else None
     return "upper-lip" if lip == "upper-lip" else "philtrum"
 
 
 def point_names(model: MorphModel) -> tuple[str, str, str]:
-    """Give what the three points of a model with a faceframe mark."""
+    """Return the names of the three points of a model with a faceframe."""
     return "right eye", "left eye", "philtrum" if lip_of(model) == "philtrum" else "upper lip's bottom"
 
 
 def landmarks_of(model: MorphModel) -> Points | None:
-    """Give the points of the face mesh on the mean face, (478, 2) px, where `keypoints --auto` left them."""
+    """Return the points (478, 2) px of the face mesh on the mean face, or None if `keypoints --auto` found none."""
     origin = model.provenance.get("keypoints")
     points = origin.get("points") if isinstance(origin, dict) else None
     if points is None or len(points) != POINT_COUNT:
@@ -209,7 +259,7 @@ def landmarks_of(model: MorphModel) -> Points | None:
 
 
 def framing_of(model: MorphModel) -> Framing:
-    """Give how the build turned source pictures into the model's frames."""
+    """Return the framing by which the build turned source pictures into the model's frames."""
     built = model.provenance["framing"]
     width, height = built["source_size"]
     x, y, w, h = built["crop"] or (0, 0, width, height)
@@ -217,27 +267,42 @@ def framing_of(model: MorphModel) -> Framing:
 
 
 def reference_to_mean(model: MorphModel, points: Points) -> Points:
-    """Carry points (m, 2) px of the model's reference to its mean face: m(p), the inverse of `mean_inverse`."""
+    """Carry points (m, 2) px from the model's reference to its mean face by m, the inverse of `mean_inverse`."""
     return warp.move_points(warp.invert(model.mean_inverse), points)
 
 
 def picture_to_mean(model: MorphModel, points: Points) -> Points:
-    """Carry points (m, 2) px of the reference frame's own picture to the mean face: framed as the build did, then m."""
+    """Carry points (m, 2) px from the reference frame's own picture to the mean face: the build's framing, then m."""
     return reference_to_mean(
         model, warp.apply_affine(warp.inverse_affine(framing_of(model).to_source), points)
     )
 
 
 def detect_faceframe(model: MorphModel, detect: Detector, *, faces: int = FACES) -> Steps[DetectedFaceframe]:
-    """Find the faceframe on the mean face of a model: on the mean and on up to `faces` of its training faces.
+    """Detect the faceframe of a model on its mean face and training faces; a generator of steps.
 
-    The training faces come back from their loadings; what `detect` finds in each is carried to the mean face through
-    the warp of that face, and the median is taken, point by point and axis by axis. A generator of steps. Raises
-    `BadInput` where a face was found in fewer than three, or in fewer than half of them.
+    The training faces are rendered from their loadings. The detected points of each are carried to the mean face
+    through its warp, and the median is taken of each coordinate (ours).
+
+    Parameters
+    ----------
+    model : MorphModel
+    detect : Detector
+    faces : int
+        The largest number of training faces, evenly spread.
+
+    Returns
+    -------
+    DetectedFaceframe
+
+    Raises
+    ------
+    BadInput
+        If a face was found in fewer than `LEAST_FOUND` faces, or in fewer than half of them.
     """
     training = model.training.values
     rows = [np.zeros(model.rank), *(training[index] for index in spread(len(training), faces))]
-    carried, seen, shown_by = [], [], []
+    carried, seen, detected_loadings = [], [], []
     for number, loadings in enumerate(rows):
         morph = model.expand(loadings)
         inverse = warp.invert(morph.displacement)
@@ -247,12 +312,12 @@ def detect_faceframe(model: MorphModel, detect: Detector, *, faces: int = FACES)
             carried.append(warp.move_points(inverse, np.vstack([found.faceframe().points, found.points])))
             if number > 0:
                 seen.append(found.points)
-                shown_by.append(loadings)
+                detected_loadings.append(loadings)
         yield Step("keypoints", number + 1, len(rows))
     if len(carried) < max(LEAST_FOUND, len(rows) / 2):
         raise BadInput(
-            f"a face was found in {len(carried)} of {len(rows)} faces of {model.identity}, too few to place keypoints: "
-            "give them with --set or --from"
+            f"a face was found in {len(carried)} of {len(rows)} faces of {model.identity}; expected at "
+            f"least half and {LEAST_FOUND}. Give the keypoints with --set or --from"
         )
     stack = np.array(carried)
     points = np.median(stack, axis=0)
@@ -261,16 +326,16 @@ def detect_faceframe(model: MorphModel, detect: Detector, *, faces: int = FACES)
     learned = None
     if points[3:].shape == (POINT_COUNT, 2) and len(seen) >= LEAST_FACES and model.rank > 0:
         by_warp = moved_by_components(model, points[3:])
-        learned = learn_landmarks(np.array(shown_by), np.array(seen), model.sd, by_warp)
+        learned = learn_landmarks(np.array(detected_loadings), np.array(seen), model.sd, by_warp)
     return DetectedFaceframe(faceframe, spread_px[:3], points[3:], len(rows), len(carried), learned)
 
 
 def with_detected(model: MorphModel, found: DetectedFaceframe) -> MorphModel:
-    """Give the model with the faceframe that was found, where it came from, and what was learned of its landmarks."""
+    """Return the model with a detected faceframe, its origin and its landmark regression."""
     return model.with_faceframe(found.faceframe, found.origin).with_landmarks(found.landmarks)
 
 
 def moved_by_components(model: MorphModel, points: Points) -> AnyArray:
-    """Give how far one unit of each component moves the points (n, 2) px of the mean face: (k, n, 2) px."""
+    """Compute the movement of points (n, 2) px of the mean face by one unit of each component, (k, n, 2) px."""
     fields = model.component_displacements
     return np.array([warp.move_points(np.ascontiguousarray(field), points) - points for field in fields])

@@ -1,11 +1,11 @@
-"""Landmarks as a linear function of the loadings: where lids, brows, lips and the rim of the face are drawn (ours).
+"""Landmarks as a linear function of the loadings: lids, brows, lips and outline of the face (ours).
 
-A model's warp moves a point of the mean face, but a model may show a closing eye or an opening mouth in colour instead:
-the warp alone does not know. So the points that a detector finds in many rendered faces of the model are regressed on
-the loadings of those faces. The components of the warp tell in part where the points go; the regression may learn only
-what they leave out. Ridge regression in SD of each component; how strongly it holds back, and whether from nothing or
-from the warp, is decided by the leave-one-out error, which has a closed form (Hastie, Tibshirani and Friedman 2009,
-section 7.10) and is kept: it says how far a landmark can be trusted.
+A model's warp moves points of the mean face. But a model may express a closing eye or an opening mouth as a change of
+colour, which the warp does not contain. So the points that a detector finds in many rendered faces of the model are
+regressed on their loadings. The regression is ridge regression in SD of each component. Its strength, and whether it
+shrinks towards zero or towards the warp's own prediction, minimise the leave-one-out error, which has a closed form
+(Hastie, Tibshirani and Friedman 2009, section 7.10). That error is stored: it tells how far a landmark can be
+trusted.
 """
 
 from __future__ import annotations
@@ -19,17 +19,28 @@ from morphspace.arrays import AnyArray, LoadingTable, LoadingVector, Points
 from morphspace.errors import BadInput
 from morphspace.face.mesh import GROUPS, LANDMARKS, POINT_COUNT, SCHEME
 
-RIDGES = (0.3, 1.0, 3.0, 10.0, 30.0, 100.0, 300.0)  # on loadings in SD: a prior of n faces
-LEAST_FACES = 8  # to learn from
+RIDGES = (0.3, 1.0, 3.0, 10.0, 30.0, 100.0, 300.0)  # faces, the weight of the prior; loadings are in SD
+LEAST_FACES = 8  # faces in a regression
 
 
 @dataclass(frozen=True, eq=False)
 class LandmarkRegression:
-    """Where the m landmarks of `GROUPS`, in their order, lie in a face of loadings l (k,): `mean` + l `weights`.
+    """Positions of the m landmarks of `GROUPS` in a face of raw loadings l (k,): `mean` + l `weights`.
 
-    `mean` (m, 2) px, in the mean face's picture | `weights` (k, m, 2) px | `error_px` (m,), root mean square
-    leave-one-out error of each over the `faces` it was learned from: a face left out of the regression, not of the
-    components | `ridge`, what was chosen | `follows_warp`, whether the weights were held back towards the warp's own.
+    Attributes
+    ----------
+    mean : array (m, 2) px
+        The landmarks in the mean face's picture.
+    weights : array (k, m, 2) px
+        Movement per unit of each component.
+    error_px : array (m,) px
+        Root mean square leave-one-out error. A face was left out of the regression, not of the components.
+    faces : int
+        Number of faces in the regression.
+    ridge : float
+        The chosen strength, as a prior of so many faces.
+    follows_warp : bool
+        Whether the weights shrink towards the warp's own.
     """
 
     mean: Points
@@ -40,32 +51,32 @@ class LandmarkRegression:
     follows_warp: bool
 
     def at(self, loadings: LoadingVector) -> Points:
-        """Give the landmarks (m, 2) px in the face of loadings (k,)."""
+        """Return the landmarks (m, 2) px in the face of raw loadings (k,)."""
         return self.mean + self.moved(loadings)
 
     def moved(self, loadings: LoadingVector) -> Points:
-        """Give how far the landmarks (m, 2) px of the face of loadings (k,) lie from the mean face's."""
+        """Return the movement of the landmarks (m, 2) px from the mean face to the face of raw loadings (k,)."""
         return np.tensordot(loadings, self.weights, 1)
 
     def truncate(self, components: int, training: LoadingTable) -> LandmarkRegression:
-        """Give the regression on the first `components`.
+        """Return the regression on the first `components`.
 
-        What the others explained of the `training` faces (n, k) joins the error.
+        The movement that the other components explain in the `training` faces (n, k) is added to the error.
         """
         lost = np.tensordot(training[:, components:], self.weights[components:], 1)
         error_px = np.sqrt(self.error_px**2 + (lost**2).sum(axis=-1).mean(axis=0))
         return replace(self, weights=self.weights[:components], error_px=error_px)
 
     def errors(self) -> dict[str, float]:
-        """Give the median leave-one-out error in px, of `all` landmarks and of each group."""
-        start, told = 0, {"all": round(float(np.median(self.error_px)), 3)}
+        """Return the median leave-one-out error in px, of `all` landmarks and of each group."""
+        start, medians = 0, {"all": round(float(np.median(self.error_px)), 3)}
         for name, places in GROUPS.items():
-            told[name] = round(float(np.median(self.error_px[start : start + len(places)])), 3)
+            medians[name] = round(float(np.median(self.error_px[start : start + len(places)])), 3)
             start += len(places)
-        return told
+        return medians
 
     def document(self) -> dict[str, Any]:
-        """Give what a model file says of it beside the arrays (data_spec/model-file.md)."""
+        """Return the entry of a model file for the regression, without its arrays (data_spec/model-file.md)."""
         return {
             "scheme": SCHEME,
             "places": list(LANDMARKS),
@@ -79,19 +90,42 @@ class LandmarkRegression:
 def learn_landmarks(
     loadings: LoadingTable, points: AnyArray, sd: AnyArray, warp_weights: AnyArray
 ) -> LandmarkRegression:
-    """Learn where the landmarks lie from loadings (n, k) and the detector's points (n, 478, 2) px in those faces.
+    """Regress the landmarks on loadings.
 
-    `sd` (k,) of the components; `warp_weights` (k, 478, 2) px: how the warp of each component moves the points of the
-    mean face. Raises `BadInput` for fewer than `LEAST_FACES` faces, or points that are not finite.
+    Parameters
+    ----------
+    loadings : array (n, k)
+        Raw loadings of n faces.
+    points : array (n, 478, 2) px
+        The detector's points in those faces.
+    sd : array (k,)
+        SD of each component.
+    warp_weights : array (k, 478, 2) px
+        Movement of the mean face's points by the warp of each component.
+
+    Returns
+    -------
+    LandmarkRegression
+
+    Raises
+    ------
+    BadInput
+        If there are fewer than `LEAST_FACES` faces, or the points are not finite.
+
+    References
+    ----------
+    Hastie, Tibshirani and Friedman, The elements of statistical learning (2009), sections 3.4.1 and 7.10; the
+    application
+    is ours.
     """
     count, rank = loadings.shape
     if points.shape != (count, POINT_COUNT, 2) or not np.isfinite(points).all():
         raise BadInput(
-            f"{count} faces need points of shape {(count, POINT_COUNT, 2)}, all finite: {points.shape} were given"
+            f"points have shape {points.shape} or are not finite; expected {(count, POINT_COUNT, 2)} for {count} faces"
         )
     if count < LEAST_FACES:
         raise BadInput(
-            f"landmarks were found in {count} faces, at least {LEAST_FACES} are needed to learn from: give more frames"
+            f"landmarks were found in {count} faces; expected at least {LEAST_FACES}. Give more frames"
         )
     seen = points[:, LANDMARKS].reshape(count, -1)
     by_warp = warp_weights[:, LANDMARKS].reshape(rank, -1)
@@ -118,16 +152,16 @@ def learn_landmarks(
 
 
 def _ridge(design: AnyArray, wanted: AnyArray, ridge: float) -> tuple[AnyArray, AnyArray]:
-    """Give the weights of a ridge regression whose first column, the mean, is free, and the leave-one-out residuals."""
+    """Compute ridge regression with an unpenalised first column: the weights and the leave-one-out residuals."""
     penalty = np.diag(np.r_[0.0, np.full(design.shape[1] - 1, ridge)])
     solved = np.linalg.solve(design.T @ design + penalty, design.T)
     weights = solved @ wanted
-    own = np.einsum("nk,kn->n", design, solved)  # the share each face has in its own prediction
+    own = np.einsum("nk,kn->n", design, solved)  # leverage: each face's weight in its own prediction
     return weights, (wanted - design @ weights) / (1 - own)[:, None]
 
 
-def told_errors(landmarks: LandmarkRegression) -> str:
-    """Say how far the landmarks of a face left out lie from where the regression puts them, by group."""
+def error_summary(landmarks: LandmarkRegression) -> str:
+    """Summarise the leave-one-out errors by group, in one line."""
     errors = landmarks.errors()
     groups = ", ".join(f"{name} {error:.2f}" for name, error in errors.items() if name != "all")
     return f"leave-one-out error {errors['all']:.2f} px ({groups})"

@@ -1,7 +1,7 @@
-"""The face model: mean morph, components, variances (Nagle section 2), and what is needed to use them again.
+"""The face model: mean morph, principal components and their variances (Nagle et al., section 2).
 
-A model knows the reference and how frames were brought to it, so that a new image of the same person can be encoded,
-and it carries where it came from, so that a stimulus can be traced to its input files.
+A model also holds its reference, registration and flow method, so that a new picture of the same person is encoded as
+the training frames were. Its provenance names the input files, so that each stimulus can be traced to them.
 """
 
 from __future__ import annotations
@@ -53,23 +53,33 @@ Unit = Literal["raw", "sd"]
 
 @dataclass(frozen=True, eq=False)
 class Loadings:
-    """Faces as coordinates on the components of a model, one row a frame.
+    """Coordinates of n faces on the k components of a model.
 
-    Parameters
+    Attributes
     ----------
-    values : (n, k)
-        Kept read-only.
+    values : array (n, k) float64, read-only
+        One row a frame.
     frame_names : tuple of n str
     model_id : str
-        The model they belong to.
+        The model whose components the columns refer to.
     unit : {"raw", "sd"}
-        Raw loadings are in units of the model's inner product: R = P l holds of them. Tables, sidecars and whatever a
-        person reads are in SD of each component over the training faces.
+        Raw loadings are in units of the model's inner product and satisfy R = P l. Tables and sidecars hold loadings
+        in SD
+        of each component over the training faces.
 
     Raises
     ------
     BadInput
-        Where the rows do not fit the names.
+        If the number of rows differs from the number of names.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> loadings = Loadings(np.array([[0.5, -1.0], [2.0, 0.0]]), ("a", "b"), "0123456789abcdef")
+    >>> loadings
+    Loadings(2 frames x 2 components, raw, model 0123456789abcdef)
+    >>> loadings[1].frame_names
+    ('b',)
     """
 
     values: LoadingTable
@@ -80,12 +90,13 @@ class Loadings:
     def __post_init__(self) -> None:
         if self.values.ndim != 2 or len(self.values) != len(self.frame_names):
             raise BadInput(
-                f"loadings of shape {self.values.shape} do not fit {len(self.frame_names)} frame names: one row a frame"
+                f"loadings have shape {self.values.shape}; expected {len(self.frame_names)} rows, one for each "
+                "frame name"
             )
         object.__setattr__(self, "values", read_only(self.values))
 
     def __getitem__(self, rows: int | slice) -> Loadings:
-        """Return one face, or a slice of them, as loadings of their own."""
+        """Return the loadings of one face, or of a slice of faces."""
         if isinstance(rows, int):
             place = range(len(self.frame_names))[rows]
             rows = slice(place, place + 1)
@@ -102,23 +113,35 @@ class Loadings:
         return display.loadings_card(self)
 
     def plot(self, components: int = 6) -> Any:
-        """Draw the first loadings over the frames; return a matplotlib figure."""
+        """Draw the first components' loadings over the frames; return a matplotlib figure."""
         return display.plot_loadings(self, components)
 
     def to_pandas(self) -> Any:
-        """Return a pandas DataFrame: one row a frame, one column a component (pc001, ...), in this unit."""
+        """Return a pandas DataFrame in this unit: one row a frame, one column a component (pc001, ...)."""
         import pandas
 
         columns = [f"pc{place + 1:03d}" for place in range(self.values.shape[1])]
         return pandas.DataFrame(np.array(self.values), index=list(self.frame_names), columns=columns)
 
     def in_sd(self, model: MorphModel) -> Loadings:
-        """Give the same faces in SD of each component. Raises `ReferenceMismatch` for another model."""
+        """Convert the loadings to SD of each component over the training faces.
+
+        Raises
+        ------
+        ReferenceMismatch
+            If the loadings belong to another model.
+        """
         self._check_model(model)
         return self if self.unit == "sd" else self._as("sd", self.values / self._sd(model))
 
     def in_raw(self, model: MorphModel) -> Loadings:
-        """Give the same faces in raw loadings. Raises `ReferenceMismatch` for another model."""
+        """Convert the loadings to units of the model's inner product.
+
+        Raises
+        ------
+        ReferenceMismatch
+            If the loadings belong to another model.
+        """
         self._check_model(model)
         return self if self.unit == "raw" else self._as("raw", self.values * self._sd(model))
 
@@ -131,21 +154,55 @@ class Loadings:
     def _check_model(self, model: MorphModel) -> None:
         if self.model_id != model.model_id:
             raise ReferenceMismatch(
-                f"these loadings belong to model {self.model_id}, this is model {model.model_id}: encode the "
-                "images with this model"
+                f"the loadings belong to model {self.model_id}; expected model {model.model_id}. Encode the pictures "
+                "with this model"
             )
 
 
 @dataclass(frozen=True, eq=False)
 class MorphModel:
-    """A controllable face.
+    """A person's face space: each face is the mean plus a weighted sum of components (Nagle et al., section 2).
 
-    `mean` Morph | `basis` on vectors (5 h w,) in the order of `Morph.vector` | `warp_weight` s, colour per px |
-    `mask` (h, w) | `reference` (h, w, 3), the image all flow starts from | `mean_inverse` (h, w, 2) px, from the mean
-    face to the reference | `faceframe` on the mean face, or None | `training` Loadings | `registration` and `flow`, by
-    name, as the build used them | `provenance`, a JSON document: identity, settings, versions, digests, consent |
-    `landmarks`, where the face's landmarks lie for given loadings, or None | `reading`, how pictures are read: as the
-    build read its frames, or by flow alone (`by_flow_alone`).
+    Attributes
+    ----------
+    mean : Morph
+    basis : Basis
+        Components on vectors (5 h w,) in the order of `Morph.vector`, with variances and inner product.
+    warp_weight : float
+        s, colour per px: the weight of a displacement against a change of colour in the inner product.
+    mask : array (h, w), in [0, 1]
+        The face on the mean face's grid.
+    reference : array (h, w, 3), in [0, 1]
+        The frame from which all flow is measured.
+    mean_inverse : array (h, w, 2) px
+        Displacement from the mean face to the reference.
+    faceframe : FaceFrame or None
+        Both eyes and the lip point, px on the mean face.
+    reference_faceframe : FaceFrame or None
+        The same on the reference; it places the rigid part that registration fits.
+    training : Loadings
+        Raw loadings of the training frames.
+    registration : str
+        Kind of head registration in the build.
+    flow : str
+        Flow method of the build.
+    provenance : mapping
+        JSON document: identity, consent, settings, versions and digests of the inputs.
+    landmarks : LandmarkRegression or None
+        Landmark positions as a linear function of the loadings.
+    reading : {"as built", "flow alone"}
+        How pictures are aligned and encoded: with the face points that the build used, or without any
+        (`by_flow_alone`).
+
+    Raises
+    ------
+    BadInput
+        If the training loadings are in SD.
+
+    References
+    ----------
+    Nagle, Griffin, Johnston and McOwan, Techniques for mimicry and identity blending using morph space PCA, section
+    2.
     """
 
     mean: Morph
@@ -179,27 +236,27 @@ class MorphModel:
         return display.model_card(self)
 
     def plot_components(self, components: int = 3, amount_sd: float = 2.0) -> Any:
-        """Draw the first components from minus to plus `amount_sd`; return a matplotlib figure."""
+        """Draw the first components from minus to plus `amount_sd` SD; return a matplotlib figure."""
         return display.plot_components(self, components, amount_sd)
 
     @property
     def model_id(self) -> str:
-        """The digest that names this model's components; tables of loadings refer to it."""
+        """The 16 hexadecimal digits that identify this model's components; tables of loadings refer to them."""
         return self.training.model_id
 
     @property
     def identity(self) -> str:
-        """Who the model shows."""
+        """The name of the person."""
         return str(self.provenance["identity"])
 
     @property
     def rank(self) -> int:
-        """The number of components."""
+        """The number of components k."""
         return self.basis.rank
 
     @property
     def size(self) -> tuple[int, int]:
-        """The size (w, h) px of its frames."""
+        """The size (w, h) px of the model's frames."""
         return self.mask.shape[1], self.mask.shape[0]
 
     @property
@@ -209,19 +266,19 @@ class MorphModel:
 
     @property
     def component_textures(self) -> AnyArray:
-        """The change of colour (k, h, w, 3) that one unit of each component makes, a view."""
+        """The change of colour (k, h, w, 3) for one unit of each component, a view."""
         columns = texture_columns(self.mean.shape)
         return self.basis.components[:, columns].reshape(self.rank, *self.mean.shape, 3)
 
     @property
     def component_displacements(self) -> AnyArray:
-        """The displacement (k, h, w, 2) px that one unit of each component makes, a view."""
+        """The displacement (k, h, w, 2) px for one unit of each component, a view."""
         columns = displacement_columns(self.mean.shape)
         return self.basis.components[:, columns].reshape(self.rank, *self.mean.shape, 2)
 
     @cached_property
     def flow_from_reference(self) -> FlowFunction:
-        """The flow by the build's method, its reference prepared on first use and kept: the costly half is shared."""
+        """The flow function of the build, with the reference prepared once, on first use."""
         find = methods.for_morphs(self.flow)(self.reference)
         if not was_anchored(self.provenance) or self.anchor is None:
             return find
@@ -229,9 +286,12 @@ class MorphModel:
 
     @cached_property
     def anchor(self) -> FaceAnchor | None:
-        """The face in the reference and its detector, where the build used them; None where pictures are read without.
+        """The face points of the reference and their detector; None if pictures are read without face points.
 
-        Raises `MissingModels` where they are needed and the detector's networks are missing.
+        Raises
+        ------
+        MissingModels
+            If the build used face points and the detector's networks are not installed.
         """
         if self.reading == "flow alone" or (
             self.registration == "none" and not was_anchored(self.provenance)
@@ -245,9 +305,10 @@ class MorphModel:
             ) from error
 
     def by_flow_alone(self) -> MorphModel:
-        """Give the model that reads pictures without face points, which needs no networks.
+        """Return a model that reads pictures without face points and needs no networks.
 
-        Where the build used the points it reads them less exactly: its loadings are not those of the model itself.
+        If the build used face points, the loadings of a picture differ from those that this model gives, and are less
+        exact.
         """
         return replace(self, reading="flow alone")
 
@@ -257,11 +318,28 @@ class MorphModel:
         return Registration(self.reference, self.registration, region)
 
     def align(self, image: Image, name: str = "image", found: FacePoints | None = None) -> Frame:
-        """Bring an image (h, w, 3) of the model's size to the reference, as the build did with its frames.
+        """Register a picture to the reference, as the build registered its frames.
 
-        `found` is what the `anchor`'s detector found in the image, where it has been asked already. Raises
-        `MissingModels` where the build used face points and the detector's networks are missing; `by_flow_alone` gives
-        a model that needs none.
+        Parameters
+        ----------
+        image : array (h, w, 3) float32, in [0, 1]
+            A picture of the model's size.
+        name : str
+            Names the frame in messages.
+        found : FacePoints, optional
+            The face in the picture if the `anchor`'s detector has found it already.
+
+        Returns
+        -------
+        Frame
+            The aligned picture, and the similarity or affine that aligned it.
+
+        Raises
+        ------
+        BadInput
+            If the picture has another size or type, or is not finite.
+        MissingModels
+            If the build used face points and the networks are not installed; `by_flow_alone` needs none.
         """
         self._check_size(image, name)
         anchor = None if self.registration == "none" else self.anchor
@@ -269,25 +347,55 @@ class MorphModel:
         return aligned(image, name, self._head.of(image, start))
 
     def morph_of(self, image: Image, flow: FlowFunction | None = None) -> Morph:
-        """Take an aligned image apart on the mean face: flow from the reference, re-sourced, then its texture."""
+        """Vectorise an aligned picture (h, w, 3): flow from the reference, carried to the mean face, then the texture.
+
+        References
+        ----------
+        Nagle et al., section 2.
+        """
         self._check_size(image, "image")
         field = (flow or self.flow_from_reference)(image, None).displacement
         return morph_of(image, resource(field, self.mean_inverse), self.mean.reference_id)
 
     def project(self, morph: Morph) -> LoadingVector:
-        """Give the loadings (k,) of a morph: inner products of its offset with the components (Nagle section 3.3)."""
+        """Project a morph: inner products of its offset from the mean with the components, raw loadings (k,).
+
+        References
+        ----------
+        Nagle et al., section 2: l = (M - mean) x P.
+        """
         return self.basis.project((morph - self.mean).vector)
 
     def encode(self, image: Image, *, name: str = "image") -> Loadings:
-        """Give the loadings of an image (h, w, 3) of the model's size: align, project, fit to the picture."""
+        """Encode a picture: align it, project its morph, and refine the loadings on the picture.
+
+        Parameters
+        ----------
+        image : array (h, w, 3) float32, in [0, 1]
+            A picture of the model's size.
+        name : str
+            The frame's name in the result.
+
+        Returns
+        -------
+        Loadings
+            One row of raw loadings.
+
+        Raises
+        ------
+        BadInput
+            If the picture has another size or type, or is not finite.
+        MissingModels
+            As `align`.
+        """
         return self.encode_aligned(self.align(image, name))
 
     def encode_aligned(self, frame: Frame) -> Loadings:
-        """Give the loadings of a frame that is aligned already."""
+        """Encode a frame that is aligned already: one row of raw loadings."""
         return self.fit(frame, self.morph_of(frame.image))
 
     def fit(self, frame: Frame, morph: Morph) -> Loadings:
-        """Give the loadings of an aligned frame and its morph: the projection, refined by `fit.Fitter`."""
+        """Project the morph of an aligned frame and refine the loadings with `fit.Fitter`: one row of raw loadings."""
         fitted = self._fitter.fit(frame.image, self.project(morph))
         return Loadings(fitted[None], (frame.name,), self.model_id)
 
@@ -296,53 +404,67 @@ class MorphModel:
         return Fitter(self.mean, self.basis, self.mask)
 
     def expand(self, loadings: AnyArray | Loadings) -> Morph:
-        """Give the morph of raw loadings (k,), or of the first so many: mean + P l (Nagle section 2, steps 1 and 2).
+        """Compute the morph of one face: mean + P l (Nagle et al., section 2).
 
-        Where `Loadings` of one face are given, their unit is heeded. Raises `BadInput` and `ReferenceMismatch`.
+        Parameters
+        ----------
+        loadings : array (j,) or Loadings of one face
+            Raw loadings of the first j <= k components, or `Loadings` in either unit.
+
+        Raises
+        ------
+        BadInput
+            If the loadings are more than k, not finite, or those of several faces.
+        ReferenceMismatch
+            If `Loadings` belong to another model.
         """
         return self.mean + self.offset(loadings)
 
     def offset(self, loadings: AnyArray | Loadings) -> MorphOffset:
-        """Give the difference from the mean of loadings (k,), or of the first so many: P l. Raises `BadInput`."""
-        basis, values = self._shown_by(loadings)
+        """Compute the offset of one face from the mean, P l; loadings as in `expand`."""
+        basis, values = self._checked_loadings(loadings)
         return MorphOffset(basis.expand(values), self.mean.shape, self.mean.reference_id)
 
     def texture_offset(self, loadings: AnyArray | Loadings) -> Image:
-        """Give the texture (h, w, 3) of `offset` alone."""
-        basis, values = self._shown_by(loadings)
+        """Compute the texture (h, w, 3) of `offset` alone."""
+        basis, values = self._checked_loadings(loadings)
         return basis.expand(values, texture_columns(self.mean.shape)).reshape(*self.mean.shape, 3)
 
     def displacement_offset(self, loadings: AnyArray | Loadings) -> Displacement:
-        """Give the displacement (h, w, 2) px of `offset` alone."""
-        basis, values = self._shown_by(loadings)
+        """Compute the displacement (h, w, 2) px of `offset` alone."""
+        basis, values = self._checked_loadings(loadings)
         return basis.expand(values, displacement_columns(self.mean.shape)).reshape(*self.mean.shape, 2)
 
-    def _shown_by(self, loadings: AnyArray | Loadings) -> tuple[Basis, LoadingVector]:
-        """Give raw loadings (k,) that were checked, and the basis cut to as many components."""
+    def _checked_loadings(self, loadings: AnyArray | Loadings) -> tuple[Basis, LoadingVector]:
+        """Check the loadings of one face; return the basis cut to their number, and raw values (j,)."""
         if isinstance(loadings, Loadings):
             if len(loadings.values) != 1:
                 raise BadInput(
-                    f"{len(loadings.values)} faces were given; expected one. Draw them one after the other"
+                    f"loadings of {len(loadings.values)} faces were given; expected one face. Draw "
+                    "them one after the other"
                 )
             loadings = loadings.in_raw(self).values
         values = np.asarray(loadings, np.float64).reshape(-1)
         if len(values) > self.rank or not np.isfinite(values).all():
             raise BadInput(
-                f"{len(values)} loadings do not fit a model of {self.rank} components, or are not finite numbers"
+                f"{len(values)} loadings were given; expected at most {self.rank}, the model's components, all finite"
             )
         return (self.basis if len(values) == self.rank else self.basis.truncate(len(values))), values
 
     def render(self, loadings: AnyArray | Loadings) -> Image:
-        """Give the image (h, w, 3) of loadings (k,), or of the first so many; zeros give the mean face."""
+        """Draw the face of raw loadings (j,), or of `Loadings` of one face, as a picture (h, w, 3).
+
+        Fewer than k loadings use the first components; zeros draw the mean face. Raises as `expand`.
+        """
         return self.expand(loadings).render()
 
     def sample(self, rng: np.random.Generator, count: int) -> Loadings:
-        """Draw faces from the normal distribution of the training faces: loadings (count, k)."""
+        """Draw `count` faces from the normal distribution of the training faces: raw loadings (count, k)."""
         values = rng.standard_normal((count, self.rank)) * self.sd
         return Loadings(values, tuple(f"sample_{i:04d}" for i in range(count)), self.model_id)
 
     def truncate(self, components: int) -> MorphModel:
-        """Give the model of the first `components` only. Its loadings are the first ones of this model."""
+        """Return the model of the first `components`; its loadings are the first columns of this model's."""
         basis = self.basis.truncate(components)
         model_id = digest_of_json([self.model_id, components])[:16]
         training = Loadings(self.training.values[:, :components], self.training.frame_names, model_id)
@@ -350,9 +472,9 @@ class MorphModel:
         return replace(self, basis=basis, training=training, landmarks=landmarks)
 
     def with_faceframe(self, faceframe: FaceFrame, origin: Mapping[str, Any] | None = None) -> MorphModel:
-        """Give the model with this faceframe on its mean face; its loadings and its `model_id` stay.
+        """Return the model with this faceframe on its mean face; loadings and `model_id` do not change.
 
-        `origin` says where the points came from; it is kept in the provenance as `keypoints`, and what was there goes.
+        `origin` replaces the entry `keypoints` of the provenance; None removes it.
         """
         provenance = {key: value for key, value in self.provenance.items() if key != "keypoints"}
         if origin is not None:
@@ -360,13 +482,24 @@ class MorphModel:
         return replace(self, faceframe=faceframe, provenance=provenance)
 
     def with_landmarks(self, landmarks: LandmarkRegression | None) -> MorphModel:
-        """Give the model with this regression from loadings to landmarks; its loadings and its `model_id` stay."""
+        """Return the model with this landmark regression; loadings and `model_id` do not change."""
         return replace(self, landmarks=landmarks)
 
     def placed(self, rendered: Image, original: Image, registration: Affine) -> Image:
-        """Put a rendered face back into the original image (H, W, 3), inside the mask, softly.
+        """Blend a rendered face into the original picture, weighted by the mask.
 
-        `registration` maps the rendered image's points to the original's; hair, background and size stay.
+        Parameters
+        ----------
+        rendered : array (h, w, 3)
+            A picture of the model.
+        original : array (H, W, 3)
+            The picture that supplies hair, background and size.
+        registration : array (2, 3)
+            Affine from the rendered picture's points to the original's.
+
+        Returns
+        -------
+        array (H, W, 3) float32
         """
         height, width = original.shape[:2]
         back = warp.affine_displacement(warp.inverse_affine(registration), height, width)
@@ -379,18 +512,20 @@ class MorphModel:
         return out
 
     def _check_size(self, image: Image, name: str) -> None:
+        """Check that an image has the model's size, is float32 and finite."""
+
         if image.shape != self.reference.shape:
             raise BadInput(
-                f"{name} is {image.shape[1]}x{image.shape[0]}, the model's frames are {self.size[0]}x{self.size[1]}: "
-                "scale or crop it first"
+                f"{name} is {image.shape[1]}x{image.shape[0]} px; expected {self.size[0]}x{self.size[1]}, the model's "
+                "frame size. Scale or crop it"
             )
         if image.dtype != np.float32 or not np.isfinite(image).all():
             raise BadInput(
-                f"{name} is {image.dtype} or not finite everywhere: give float32 in [0, 1], as `read_image` does"
+                f"{name} is {image.dtype} or not finite; expected finite float32 in [0, 1], as `read_image` returns"
             )
 
     def save(self, path: Path | str) -> None:
-        """Write the model as a `.morph` file, whole or not at all (data_spec/model-file.md)."""
+        """Write the model as a `.morph` file, completely or not at all (data_spec/model-file.md)."""
         arrays, document = self._arrays(), self._document()
         write_container(Path(path), arrays, {**document, "content_sha256": content_digest(arrays, document)})
 
@@ -437,7 +572,7 @@ class MorphModel:
 
 
 def points_document(faceframe: FaceFrame | None) -> dict[str, list[float]] | None:
-    """Give a faceframe as the three named points that files hold, or None."""
+    """Return a faceframe as the three named points of a file, or None."""
     if faceframe is None:
         return None
     names = ("right_eye", "left_eye", "philtrum")
@@ -445,7 +580,24 @@ def points_document(faceframe: FaceFrame | None) -> dict[str, list[float]] | Non
 
 
 def inner_product(mask: Mask, warp_weight: float) -> AnyArray:
-    """Give the weights (5 h w,) of <a, b> = sum mask texture + s^2 sum mask displacement (methods 4)."""
+    """Compute the weights (5 h w,) of the inner product <a, b> = sum mask texture + s^2 sum mask displacement.
+
+    Parameters
+    ----------
+    mask : array (h, w)
+    warp_weight : float
+        s, colour per px.
+
+    References
+    ----------
+    The mask and s are ours; Nagle et al. (section 2) add texture and warp in their own units.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> inner_product(np.ones((1, 2), np.float32), 0.5).tolist()
+    [1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 0.25, 0.25, 0.25, 0.25]
+    """
     height, width = mask.shape
     column = mask[..., None]
     texture = np.broadcast_to(column, (height, width, 3))
@@ -454,22 +606,25 @@ def inner_product(mask: Mask, warp_weight: float) -> AnyArray:
 
 
 def model_digest(basis: Basis, mean: Morph, provenance: Mapping[str, Any]) -> str:
-    """Give the name of a model: 16 hexadecimal digits of the SHA-256 of what defines its loadings."""
+    """Compute a model's name: 16 hexadecimal digits of the SHA-256 of all that defines its loadings."""
     parts = [digest_of_array(a) for a in (basis.variances, mean.texture, mean.displacement)]
     parts += [digest_of_array(np.ascontiguousarray(row)) for row in basis.components]
     return digest_of_json([parts, dict(provenance)])[:16]
 
 
 def load_model(path: Path | str) -> MorphModel:
-    """Open a `.morph` file; its arrays stay on the disk and are read when they are used.
+    """Open a `.morph` file; its arrays are memory maps.
 
-    Raises `ModelFileError` where the file is cut short, of a future version, or its parts do not fit each other.
+    Raises
+    ------
+    ModelFileError
+        If the file is truncated, of a future version, or inconsistent.
     """
     return _assembled(*read_model_file(Path(path)))
 
 
 def _assembled(arrays: Mapping[str, AnyArray], document: Mapping[str, Any]) -> MorphModel:
-    """Build the model from a checked header; all arrays stay on the disk until they are used."""
+    """Build the model from arrays and document that were checked."""
     reference_id = str(document["reference_id"])
     warp_weight = float(document["warp_weight"])
     mask = arrays["mask"]

@@ -1,7 +1,7 @@
-"""Morphs: a texture on the mean face and a warp that puts it back (Nagle section 2).
+"""Morphs: a texture on the mean face and the warp from the mean face to the frame (Nagle et al., section 2).
 
-A morph is a point, the difference of two morphs a vector; points cannot be added. Both know the mean face they live on
-(`reference_id`), so that a number measured on one face cannot silently be used on another.
+A morph is a point of the face space; the difference of two morphs is a vector. Two morphs cannot be added. Both types
+name their mean face (`reference_id`), so that faces of different models are never mixed.
 """
 
 from __future__ import annotations
@@ -15,22 +15,20 @@ from morphspace.errors import BadInput, ReferenceMismatch
 from morphspace.grid import warp
 
 CHANNELS = 5  # R, G, B, x, y: Nagle's w * h * (2 + 3)
-MEAN_FOLDS = (
-    0.02  # of the cells; a mean over frames is smooth, and folds where the frames show different things
-)
-INVERSE_TOL_PX = 0.01  # m(m^-1(p)) = p, checked when the mean shape is inverted
+MEAN_FOLDS = 0.02  # share of cells; a mean over frames is smooth unless the frames show different things
+INVERSE_TOL_PX = 0.01  # px, of m(m^-1(p)) - p at the median; the exact inverse stays below it
 
 
 @dataclass(frozen=True, eq=False)
 class MorphOffset:
-    """A difference between two faces that live on the same mean face.
+    """The difference between two faces on the same mean face.
 
-    Offsets add, subtract and scale: a gain of 1 is veridical, above 1 a caricature, below 0 an anti-face.
+    Offsets add, subtract and scale. A gain of 1 is veridical, above 1 a caricature, below 0 an anti-face.
 
-    Parameters
+    Attributes
     ----------
-    vector : (5 h w,) float32
-        Texture (h, w, 3) and then displacement (h, w, 2) px, both row by row. It is kept read-only.
+    vector : array (5 h w,) float32, read-only
+        Texture (h, w, 3), then displacement (h, w, 2) px, both in row order.
     shape : (h, w)
     reference_id : str
         The mean face.
@@ -38,7 +36,14 @@ class MorphOffset:
     Raises
     ------
     BadInput
-        Where the length of the vector is not 5 h w.
+        If the length of the vector is not 5 h w.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> smile = MorphOffset.of(np.zeros((2, 2, 3)), np.ones((2, 2, 2)), "mean of A")
+    >>> (2 * smile - smile).displacement[0, 0].tolist()
+    [1.0, 1.0]
     """
 
     vector: AnyArray
@@ -50,7 +55,10 @@ class MorphOffset:
 
     @classmethod
     def of(cls, texture: Image, displacement: Displacement, reference_id: str) -> MorphOffset:
-        """Copy a texture (h, w, 3) and a displacement (h, w, 2) px into one offset. Raises `BadInput`."""
+        """Copy a texture (h, w, 3) and a displacement (h, w, 2) px into one offset.
+
+        Raises `BadInput` if their shapes do not fit.
+        """
         return cls(_joined(texture, displacement), _shape_of(texture), reference_id)
 
     @property
@@ -83,14 +91,14 @@ class MorphOffset:
 
 @dataclass(frozen=True, eq=False)
 class Morph:
-    """A face: a texture on the mean face, and the displacement that moves it to where the face has it.
+    """A face: a texture on the mean face, and the displacement of each of its points from the mean face to the frame.
 
-    The difference of two morphs is a `MorphOffset`; a morph and an offset make a morph; two morphs cannot be added.
+    The difference of two morphs is a `MorphOffset`. A morph plus an offset is a morph.
 
-    Parameters
+    Attributes
     ----------
-    vector : (5 h w,) float32
-        Texture (h, w, 3) and then displacement (h, w, 2) px, both row by row. It is kept read-only.
+    vector : array (5 h w,) float32, read-only
+        Texture (h, w, 3), then displacement (h, w, 2) px, both in row order.
     shape : (h, w)
     reference_id : str
         The mean face.
@@ -98,7 +106,19 @@ class Morph:
     Raises
     ------
     BadInput
-        Where the length of the vector is not 5 h w.
+        If the length of the vector is not 5 h w.
+
+    References
+    ----------
+    Nagle et al., section 2.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> mean = Morph.of(np.zeros((2, 2, 3)), np.zeros((2, 2, 2)), "mean of A")
+    >>> face = Morph.of(np.ones((2, 2, 3)), np.zeros((2, 2, 2)), "mean of A")
+    >>> (mean + 0.5 * (face - mean)).texture[0, 0].tolist()
+    [0.5, 0.5, 0.5]
     """
 
     vector: AnyArray
@@ -110,17 +130,20 @@ class Morph:
 
     @classmethod
     def of(cls, texture: Image, displacement: Displacement, reference_id: str) -> Morph:
-        """Copy a texture (h, w, 3) and a displacement (h, w, 2) px into one morph. Raises `BadInput`."""
+        """Copy a texture (h, w, 3) and a displacement (h, w, 2) px into one morph.
+
+        Raises `BadInput` if their shapes do not fit.
+        """
         return cls(_joined(texture, displacement), _shape_of(texture), reference_id)
 
     @property
     def texture(self) -> Image:
-        """The colours on the mean face (h, w, 3), a view."""
+        """The colours (h, w, 3) on the mean face, a view."""
         return self.vector[texture_columns(self.shape)].reshape(*self.shape, 3)
 
     @property
     def displacement(self) -> Displacement:
-        """Where each point of the mean face is sent, relative to itself: (h, w, 2) px, a view."""
+        """The displacement (h, w, 2) px of each point of the mean face to its place in the frame, a view."""
         return self.vector[displacement_columns(self.shape)].reshape(*self.shape, 2)
 
     def __sub__(self, other: Morph) -> MorphOffset:
@@ -136,36 +159,36 @@ class Morph:
         return Morph(self.vector + offset.vector, self.shape, self.reference_id)
 
     def render(self) -> Image:
-        """Give the image (h, w, 3): the texture put where the warp sends it, by exact rasterisation."""
+        """Draw the face as a picture (h, w, 3): the texture, warped forward by exact rasterisation."""
         return warp.render(self.texture, self.displacement)
 
 
 def texture_columns(shape: tuple[int, int]) -> slice:
-    """Give which numbers of a morph vector (5 h w,) are colours; `shape` is (h, w)."""
+    """Return the part of a morph vector (5 h w,) that holds colours; `shape` is (h, w)."""
     return slice(0, 3 * shape[0] * shape[1])
 
 
 def displacement_columns(shape: tuple[int, int]) -> slice:
-    """Give which numbers of a morph vector (5 h w,) are displacements; `shape` is (h, w)."""
+    """Return the part of a morph vector (5 h w,) that holds displacements; `shape` is (h, w)."""
     return slice(3 * shape[0] * shape[1], CHANNELS * shape[0] * shape[1])
 
 
 def _checked(vector: AnyArray, shape: tuple[int, int]) -> AnyArray:
-    """Give a read-only view of a vector. Raises `BadInput` where its length is not 5 h w."""
+    """Return a read-only view of a vector. Raises `BadInput` if its length is not 5 h w."""
     height, width = shape
     if vector.shape != (CHANNELS * height * width,):
         raise BadInput(
-            f"a morph vector of {vector.shape} does not fit {width}x{height}: {CHANNELS * height * width} expected"
+            f"a morph vector has shape {vector.shape}; expected ({CHANNELS * height * width},) for {width}x{height} px"
         )
     return read_only(np.asarray(vector, np.float32))
 
 
 def _joined(texture: Image, displacement: Displacement) -> AnyArray:
-    """Copy both parts into one vector. Raises `BadInput` where they differ in size or are exchanged."""
+    """Copy texture and displacement into one vector. Raises `BadInput` if their shapes do not fit."""
     if texture.shape[2:] != (3,) or displacement.shape != (*texture.shape[:2], 2):
         raise BadInput(
-            f"a displacement of {displacement.shape} does not fit a texture of {texture.shape}: "
-            "(h, w, 2) and (h, w, 3) expected"
+            f"texture and displacement have shapes {texture.shape} and {displacement.shape}; expected (h, w, 3) and "
+            "(h, w, 2)"
         )
     return np.concatenate([texture.reshape(-1), displacement.reshape(-1)], dtype=np.float32)
 
@@ -175,58 +198,84 @@ def _shape_of(texture: Image) -> tuple[int, int]:
 
 
 def check_same_reference(one: Morph | MorphOffset, other: Morph | MorphOffset) -> None:
-    """Raise `ReferenceMismatch` where two faces live on different mean faces."""
+    """Check that two faces lie on the same mean face. Raises `ReferenceMismatch` otherwise."""
     if one.reference_id != other.reference_id:
         raise ReferenceMismatch(
-            f"one face lives on the mean face {one.reference_id}, the other on {other.reference_id}: "
-            "encode both with the same model"
+            f"the faces lie on the mean faces {one.reference_id} and {other.reference_id}; expected one mean face. "
+            "Encode both with the same model"
         )
 
 
 def morph_of(image: Image, displacement: Displacement, reference_id: str) -> Morph:
-    """Take an aligned image apart: T(p) = I(p + u(p)), by cubic B-spline (methods 3.3)."""
+    """Vectorise an aligned picture (h, w, 3): T(p) = I(p + u(p)), by cubic B-spline.
+
+    References
+    ----------
+    Nagle et al., section 2.
+    """
     return Morph.of(warp.sample(image, displacement), displacement, reference_id)
 
 
 def invert_mean_shape(mean_field: Displacement) -> Displacement:
-    """Invert the mean shape m(x) = x + mean_i F_i(x): give v with p + v(p) = m^-1(p), (h, w, 2) px.
+    """Invert the mean shape m(x) = x + mean_i F_i(x): return v with p + v(p) = m^-1(p), (h, w, 2) px.
 
-    Raises `BadInput` where the mean flow folds in more than `MEAN_FOLDS` of its cells, or m(m^-1(p)) misses p by more
-    than 0.01 px at the median: then there is no mean face.
+    Raises
+    ------
+    BadInput
+        If the mean flow is not finite, folds in more than `MEAN_FOLDS` of its cells, or m(m^-1(p)) misses p by more
+        than
+        `INVERSE_TOL_PX` at the median. The frames then have no mean face.
     """
     if not np.isfinite(mean_field).all():
         raise BadInput(
-            "the mean flow is not finite: choose another flow, or leave out frames without texture"
+            "the mean flow is not finite. Choose another flow method, or leave out frames without texture"
         )
     folded = float((warp.determinants(mean_field) <= 0).mean())
     if folded > MEAN_FOLDS:
         raise BadInput(
-            f"the mean shape folds in {folded:.1%} of the frame, allowed are {MEAN_FOLDS:.0%}: choose another "
-            "reference or leave out frames that show something else"
+            f"the mean shape folds in {folded:.1%} of the frame; expected at most {MEAN_FOLDS:.0%}. Choose another "
+            "reference, or leave out frames that show something else"
         )
     inverse = warp.invert(mean_field)
     miss = warp.compose(mean_field, inverse)
     worst = float(np.median(np.hypot(miss[..., 0], miss[..., 1])))
     if worst > INVERSE_TOL_PX:
         raise BadInput(
-            f"the mean shape cannot be inverted: it misses by {worst:.3f} px, allowed are {INVERSE_TOL_PX} px; "
-            "choose another reference or leave out frames that show something else"
+            f"the inverse of the mean shape misses by {worst:.3f} px; expected at most {INVERSE_TOL_PX} px. Choose "
+            "another reference, or leave out frames that show something else"
         )
     return inverse
 
 
 def resource(field: Displacement, mean_inverse: Displacement) -> Displacement:
-    """Carry a flow from the reference to the mean face: u(p) = m^-1(p) + F(m^-1(p)) - p (Nagle: "resourced")."""
+    """Carry a flow F from the reference to the mean face: u(p) = m^-1(p) + F(m^-1(p)) - p, (h, w, 2) px.
+
+    References
+    ----------
+    Nagle et al., section 2 ("resourced").
+    """
     return warp.compose(field, mean_inverse)
 
 
 def serialise(morph: Morph | MorphOffset) -> AnyArray:
-    """Give Nagle's morph vector (5 h w,): column by column over R, then G, then B, then x, then y (section 2)."""
+    """Return Nagle's morph vector (5 h w,): column by column, over R, then G, then B, then x, then y.
+
+    References
+    ----------
+    Nagle et al., section 2.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> face = Morph.of(np.zeros((1, 2, 3)) + (1, 2, 3), np.zeros((1, 2, 2)) + (4, 5), "mean of A")
+    >>> serialise(face).tolist()
+    [1.0, 1.0, 2.0, 2.0, 3.0, 3.0, 4.0, 4.0, 5.0, 5.0]
+    """
     planes = np.concatenate([morph.texture, morph.displacement], axis=-1)
     return np.ascontiguousarray(planes.transpose(2, 1, 0)).reshape(-1)
 
 
 def deserialise(vector: AnyArray, height: int, width: int, reference_id: str) -> Morph:
-    """Undo `serialise`. Raises `BadInput` where the vector's length is not 5 h w."""
+    """Invert `serialise` for a face of (height, width) px. Raises `BadInput` if the vector's length is not 5 h w."""
     planes = _checked(vector, (height, width)).reshape(CHANNELS, width, height).transpose(2, 1, 0)
     return Morph.of(planes[..., :3], planes[..., 3:], reference_id)

@@ -1,8 +1,8 @@
-"""From frames to a model: reference, registration, flow, mean shape, morphs, warp weight, PCA (Nagle section 2).
+"""Build a model: reference, registration, flow, mean shape, morphs, warp weight, PCA (Nagle et al., section 2).
 
-The work runs in passes over the frames and never holds more than a few of them. What is costly about a frame, its
-registration and flow, is kept in the work folder (`work_frames`). A frame is decoded twice at most: once to look at it
-(its face, and whether it may be the reference), and once to find its flow.
+The build runs in passes over the frames and holds few of them in memory. Registration and flow are kept in the work
+folder (`work_frames`). A frame is decoded twice at most: once for its face points and the search of the reference,
+and once for its flow.
 """
 
 from __future__ import annotations
@@ -49,13 +49,34 @@ COMPONENTS = 50
 
 @dataclass(frozen=True, eq=False)
 class BuildSettings:
-    """How to build. `reference` a frame's index, None to choose; `warp_weight` colour per px, None to cross-validate.
+    """Settings of a build.
 
-    `start` "auto" tries hard frames again from a neighbour's field (`flow.starts`): meant for frames in the order of
-    time, harmless for others. `mask` (h, w) is drawn on the reference, None for an ellipse over the face. `faceframe`
-    is marked on the frame `faceframe_index`; unmoved, it also places the rigid part and the mask, so the two frames
-    should hold the head alike. `detector` finds the face in each frame; what follows from it is in
-    `build_steps`, and with `anchored` the flow is held to its points.
+    Attributes
+    ----------
+    components : int
+        The largest number of components.
+    registration : {"none", "similarity", "affine"}
+    flow : str
+        Flow method.
+    start : {"auto", "none"}
+        "auto" repeats hard frames from a neighbour's field (`flow.starts`). It assumes frames in temporal order and
+        does no
+        harm otherwise.
+    reference : int, optional
+        Index of the reference frame; None to choose it.
+    warp_weight : float, optional
+        Colour per px; None to cross-validate.
+    mask : array (h, w), optional
+        Drawn on the reference; None for an ellipse over the face.
+    faceframe : FaceFrame, optional
+        Marked on frame `faceframe_index`. It also places the rigid part and the mask, without registration: the head
+        should
+        have the same pose in that frame and in the reference.
+    faceframe_index : int, optional
+    detector : Detector, optional
+        Finds the face in each frame; see `build_steps`.
+    anchored : bool
+        Whether the flow is anchored to the detector's points.
     """
 
     components: int = COMPONENTS
@@ -73,12 +94,29 @@ class BuildSettings:
 
 @dataclass(frozen=True, eq=False)
 class Build:
-    """A finished build: the model, and what the report tells of each frame.
+    """A finished build: the model, and measures of each frame for the report.
 
-    `registrations` (n, 2, 3) | inside the mask, (n,) each: `fold_fractions`, `motion_px` rms of the flow, `confidences`
-    mean of the flow's confidence | `confidence_map` (h, w) its mean over the frames, on the mean face |
-    `from_neighbour` (n,) bool, where the flow started from a neighbour's | `trials` of the warp weight | `frame_files`
-    of the work folder | `faces_found` (n,) bool, where the detector found the face; None where none was asked.
+    Attributes
+    ----------
+    model : MorphModel
+    choice : ReferenceChoice
+    registrations : array (n, 2, 3)
+    fold_fractions : array (n,)
+        Share of folded cells inside the mask.
+    motion_px : array (n,) px
+        Rms of the flow inside the mask.
+    confidences : array (n,)
+        Mean confidence of the flow inside the mask.
+    confidence_map : array (h, w)
+        Mean confidence over the frames, on the mean face.
+    from_neighbour : array (n,) bool
+        Frames whose flow started from a neighbour's.
+    trials : tuple of WeightTrial
+    warnings : tuple of str
+    frame_files : tuple of n Path
+        In the work folder.
+    faces_found : array (n,) bool, or None
+        Frames in which the detector found the face; None without a detector.
     """
 
     model: MorphModel
@@ -95,7 +133,7 @@ class Build:
     faces_found: AnyArray | None = None
 
     def frame(self, index: int) -> tuple[Frame, Flow]:
-        """Give aligned frame `index` and its flow from the reference, from the work folder."""
+        """Read aligned frame `index` and its flow from the reference."""
         work = read_work_frame(self.frame_files[index], self.model.training.frame_names[index])
         return work.frame, work.flow
 
@@ -105,39 +143,48 @@ def build_steps(
 ) -> Steps[Build]:
     """Build a model; a generator of steps that returns a `Build`.
 
-    With a detector, the points of the face give what was not given: rigid part and mask, a start for each frame's
-    registration, and the keypoints on the mean face. With `anchored` they also hold each frame's flow (`face.anchor`)
-    and decide the reference among those that serve nearly as well. A frame without a face goes without.
+    With a detector, the face points replace what the settings leave open: rigid part, mask, the start of each
+    registration and the keypoints on the mean face. With `anchored` they also anchor each frame's flow
+    (`face.anchor`), and choose the reference among the frames that serve nearly as well. A frame without a detected
+    face is built without points.
 
     Parameters
     ----------
-    source
-        The frames. Each is decoded once to look at it, where that is needed, and once to find its flow.
-    settings
-    work_folder
-        Where finished frames are kept.
-    provenance
-        A JSON document with at least `identity`, `framing` and `versions`, to which the build adds what it chose.
+    source : FrameSource
+        The frames. Each is decoded at most twice.
+    settings : BuildSettings
+    work_folder : Path
+        Keeps finished frames.
+    provenance : mapping
+        A JSON document with at least `identity`, `framing` and `versions`; the build adds its choices.
+
+    Returns
+    -------
+    Build
 
     Raises
     ------
     BadInput
-        For fewer than three frames, frames of different sizes, or a mask that does not fit.
+        If there are fewer than three frames, frames of different sizes, or a mask of another size.
+
+    References
+    ----------
+    Nagle et al., section 2; the choice of reference, mask and warp weight is ours.
     """
     _check(source, settings)
     work_folder.mkdir(parents=True, exist_ok=True)
-    looked = yield from _look_pass(source, settings, work_folder)
-    choice = yield from _reference_pass(source, settings, looked)
-    face = looked.found[choice.index]
+    survey = yield from _survey_pass(source, settings, work_folder)
+    choice = yield from _reference_pass(source, settings, survey)
+    face = survey.found[choice.index]
     plan, on_reference = _plan(source, settings, choice, face)
-    movements = [_movement(face, one) for one in looked.found]
+    movements = [_movement(face, one) for one in survey.found]
     files = yield from frame_steps(source, plan, work_folder, movements)
     shape = _mean_shape(settings, plan, on_reference, files)
     with _row_file(work_folder, len(files), CHANNELS * plan.mask.size) as rows:
         measured = yield from _morph_pass(rows, files, shape)
         components = yield from _component_pass(rows, files, shape.mask, settings)
-    said = _said(provenance, settings, looked, choice, plan, on_reference, components)
-    model = _model(source.names, settings, plan, on_reference, shape, components, said)
+    document = _provenance_of_build(provenance, settings, survey, choice, plan, on_reference, components)
+    model = _model(source.names, settings, plan, on_reference, shape, components, document)
     warnings = _warnings(source, choice, model)
     model, without_keypoints = yield from _keypoint_pass(model, settings)
     return Build(
@@ -154,35 +201,35 @@ def build_steps(
         frame_files=tuple(files),
         faces_found=None
         if settings.detector is None
-        else np.array([one is not None for one in looked.found]),
+        else np.array([one is not None for one in survey.found]),
     )
 
 
 def _check(source: FrameSource, settings: BuildSettings) -> None:
-    """Refuse what cannot be built before any work is done. Raises `BadInput`."""
+    """Check the settings before any computation. Raises `BadInput`."""
     count = len(source.names)
     if count < MIN_FRAMES:
-        raise BadInput(f"{count} frames are too few for a model: give at least {MIN_FRAMES}")
+        raise BadInput(
+            f"{count} frames are too few for a model; expected at least {MIN_FRAMES}. Give more frames"
+        )
     if settings.components < 1:
-        raise BadInput(f"{settings.components} components were asked for: ask for at least 1")
+        raise BadInput(f"components is {settings.components}; expected at least 1")
     methods.named(settings.flow)
     starts.check_start(settings.start)
     if settings.reference is not None and not 0 <= settings.reference < count:
-        raise BadInput(
-            f"reference {settings.reference} was asked for, there are {count} frames: choose 0 to {count - 1}"
-        )
+        raise BadInput(f"reference is {settings.reference}; expected 0 to {count - 1} for {count} frames")
 
 
 @dataclass(frozen=True, eq=False)
-class _Looked:
-    """What was seen of the frames: `found` (n) the points of each face; `small` pictures, by index, for the search."""
+class _Survey:
+    """The first pass over the frames: face points of each, None without a face; small pictures by index."""
 
     found: tuple[FacePoints | None, ...]
     small: Mapping[int, SmallFrame]
 
 
-def _look_pass(source: FrameSource, settings: BuildSettings, work_folder: Path) -> Steps[_Looked]:
-    """Look at the frames: find the face in each, and shrink those among which the reference is searched."""
+def _survey_pass(source: FrameSource, settings: BuildSettings, work_folder: Path) -> Steps[_Survey]:
+    """Find the face in each frame, and reduce the frames among which the reference is searched."""
     pool = [] if settings.reference is not None else spread(len(source.names), POOL)
     small: dict[int, SmallFrame] = {}
 
@@ -192,20 +239,20 @@ def _look_pass(source: FrameSource, settings: BuildSettings, work_folder: Path) 
     if settings.detector is None:
         for index, image in same_size(source, pool):
             shrink(index, image)
-        return _Looked((None,) * len(source.names), small)
+        return _Survey((None,) * len(source.names), small)
     found = yield from points_steps(source, settings.detector, work_folder, also=pool, look=shrink)
-    return _Looked(found, small)
+    return _Survey(found, small)
 
 
-def _reference_pass(source: FrameSource, settings: BuildSettings, looked: _Looked) -> Steps[ReferenceChoice]:
-    """Choose the reference, unless it was asked for."""
+def _reference_pass(source: FrameSource, settings: BuildSettings, survey: _Survey) -> Steps[ReferenceChoice]:
+    """Choose the reference, unless the settings name it."""
     if settings.reference is not None:
         return ReferenceChoice(settings.reference, source.names[settings.reference], "it was asked for")
-    indices = sorted(looked.small)
-    faces = [looked.found[index] if settings.anchored else None for index in indices]
+    indices = sorted(survey.small)
+    faces = [survey.found[index] if settings.anchored else None for index in indices]
     far = far_from_rest(faces)
     known = bool(np.isfinite(far).any())
-    place, errors = yield from search([looked.small[index] for index in indices], far if known else None)
+    place, errors = yield from search([survey.small[index] for index in indices], far if known else None)
     best, worst = min(errors.values()), max(errors.values())
     reason = (
         f"of {len(errors)} frames tried it is among those that reach the hardest frames best (error "
@@ -226,7 +273,7 @@ def _nearest(face: FacePoints | None) -> str:
 
 @dataclass(frozen=True, eq=False)
 class _OnReference:
-    """Where the face stands in the reference: `rigid`, for the rigid part, and `masked`, for the mask; None unknown."""
+    """The face on the reference: a faceframe for the rigid part and one for the mask; None if unknown."""
 
     rigid: FaceFrame | None
     masked: FaceFrame | None
@@ -235,13 +282,13 @@ class _OnReference:
 def _plan(
     source: FrameSource, settings: BuildSettings, choice: ReferenceChoice, face: FacePoints | None
 ) -> tuple[FramePlan, _OnReference]:
-    """Read the reference and say how every frame is brought to it. Raises `BadInput` for a mask of another size."""
+    """Read the reference and make the plan of every frame. Raises `BadInput` for a mask of another size."""
     (reference,) = source.images([choice.index])
     height, width = reference.shape[:2]
     if settings.mask is not None and settings.mask.shape != (height, width):
         raise BadInput(
-            f"the mask is {settings.mask.shape[1]}x{settings.mask.shape[0]}, the frames are {width}x{height}: "
-            "draw it on the reference at the size of the frames"
+            f"the mask is {settings.mask.shape[1]}x{settings.mask.shape[0]} px; expected {width}x{height}, the size of "
+            "the frames. Draw it on the reference"
         )
     overlap = 1.0 if settings.anchored else regions.OVERLAP
     on_reference = _OnReference(
@@ -263,14 +310,14 @@ def _plan(
 
 
 def _movement(reference: FacePoints | None, frame: FacePoints | None) -> Affine | None:
-    """Give where a frame's registration may start, (2, 3); None where one of the faces is not known."""
+    """Compute the start of a frame's registration, (2, 3); None if one of the faces is unknown."""
     return None if reference is None or frame is None else rigid_movement(reference, frame)
 
 
 def _landmarks_document(
     settings: BuildSettings, found: tuple[FacePoints | None, ...], choice: ReferenceChoice
 ) -> dict[str, Any]:
-    """Say for the provenance which detector looked, in how many frames it found a face, and if in the reference."""
+    """Describe the detection for the provenance: detector, frames with a face, and the face of the reference."""
     return {
         "detector": dict(settings.detector.identity) if settings.detector else {},
         "anchored": settings.anchored and found[choice.index] is not None,
@@ -282,10 +329,19 @@ def _landmarks_document(
 
 @dataclass(frozen=True, eq=False)
 class _MeanShape:
-    """The mean shape of the frames, and what lies on the mean face.
+    """The mean shape of the frames and its mean face.
 
-    `registrations` (n, 2, 3) of the frames | `mean_inverse` (h, w, 2) px, from the mean face to the reference |
-    `faceframe` and `mask` (h, w) on the mean face | `reference_id` names the mean face.
+    Attributes
+    ----------
+    registrations : array (n, 2, 3)
+    mean_inverse : array (h, w, 2) px
+        From the mean face to the reference.
+    faceframe : FaceFrame or None
+        On the mean face.
+    mask : array (h, w)
+        On the mean face.
+    reference_id : str
+        Names the mean face.
     """
 
     registrations: AnyArray
@@ -310,7 +366,7 @@ def _mean_shape(
 
 
 def _mean_field(files: list[Path]) -> tuple[AnyArray, Displacement]:
-    """Give the registration of each frame (n, 2, 3) and the mean of their flows (h, w, 2)."""
+    """Return the registration of each frame (n, 2, 3) and the mean of their flows (h, w, 2) px."""
     registrations = np.empty((len(files), 2, 3))
     total = np.zeros(())
     for index, file in enumerate(files):
@@ -322,13 +378,13 @@ def _mean_field(files: list[Path]) -> tuple[AnyArray, Displacement]:
 
 @contextlib.contextmanager
 def _row_file(work_folder: Path, rows: int, width: int) -> Iterator[RowFile]:
-    """Provide a file of rows for a block. It has no name while it is open, so that a killed build leaves none."""
+    """Open a temporary file of rows for the block. It is unlinked at once, so that a killed build leaves none."""
     handle, name = tempfile.mkstemp(prefix=".morphs.", suffix=cache.SUFFIX, dir=work_folder)
     os.close(handle)
     path = Path(name)
     try:
         with RowFile(path, rows, width) as file:
-            with contextlib.suppress(PermissionError):  # Windows removes no open file
+            with contextlib.suppress(PermissionError):  # Windows cannot unlink an open file
                 path.unlink()
             yield file
     finally:
@@ -337,7 +393,7 @@ def _row_file(work_folder: Path, rows: int, width: int) -> Iterator[RowFile]:
 
 @dataclass(frozen=True, eq=False)
 class _Measured:
-    """What `Build` tells of each frame's flow."""
+    """Measures of each frame's flow, as in `Build`."""
 
     folds: AnyArray
     motion_px: AnyArray
@@ -347,7 +403,7 @@ class _Measured:
 
 
 def _morph_pass(rows: RowFile, files: list[Path], shape: _MeanShape) -> Steps[_Measured]:
-    """Take each frame apart on the mean face and write its row; measure its flow there."""
+    """Vectorise each frame on the mean face, write its row, and measure its flow there."""
     mask, mean_inverse = shape.mask, shape.mean_inverse
     total = max(float(mask.sum()), 1.0)
 
@@ -378,7 +434,7 @@ def _morph_pass(rows: RowFile, files: list[Path], shape: _MeanShape) -> Steps[_M
 def _faceframe_on_mean(
     settings: BuildSettings, files: list[Path], registrations: AnyArray, mean_field: Displacement
 ) -> FaceFrame | None:
-    """Carry the faceframe from the frame it was marked on over the reference to the mean face."""
+    """Carry the faceframe from its frame, through the reference, to the mean face."""
     if settings.faceframe is None:
         return None
     points = settings.faceframe.points
@@ -392,7 +448,18 @@ def _faceframe_on_mean(
 
 @dataclass(frozen=True, eq=False)
 class _Components:
-    """The components of the morphs: `mean` (5 h w,), `basis`, training `loadings` (n, k), and the warp weight tried."""
+    """The components of the morphs.
+
+    Attributes
+    ----------
+    mean : array (5 h w,)
+    basis : Basis
+    loadings : array (n, k)
+        Raw loadings of the training frames.
+    weight : float
+        Warp weight, colour per px.
+    trials : tuple of WeightTrial
+    """
 
     mean: AnyArray
     basis: Basis
@@ -404,7 +471,7 @@ class _Components:
 def _component_pass(
     rows: RowFile, files: list[Path], mask: Mask, settings: BuildSettings
 ) -> Steps[_Components]:
-    """Choose the warp weight and find the principal components of the morphs."""
+    """Choose the warp weight and compute the principal components of the morphs."""
     mean = mean_row(rows)
     yield Step("components", 1, 4)
     trials: tuple[WeightTrial, ...] = ()
@@ -421,18 +488,18 @@ def _component_pass(
     return _Components(mean, basis, loadings, weight, trials)
 
 
-def _said(
+def _provenance_of_build(
     provenance: Mapping[str, Any],
     settings: BuildSettings,
-    looked: _Looked,
+    survey: _Survey,
     choice: ReferenceChoice,
     plan: FramePlan,
     on_reference: _OnReference,
     components: _Components,
 ) -> dict[str, Any]:
-    """Give the provenance with what the build chose."""
+    """Return the provenance with the choices of the build."""
     digest = digest_of_array(plan.reference)
-    found = looked.found
+    found = survey.found
     return {
         **provenance,
         "reference": {"frame": choice.name, "reason": choice.reason, "sha256": digest},
@@ -453,7 +520,7 @@ def _model(
     components: _Components,
     provenance: Mapping[str, Any],
 ) -> MorphModel:
-    """Put the model together."""
+    """Assemble the model."""
     mean = Morph(components.mean, plan.mask.shape, shape.reference_id)
     model_id = model_digest(components.basis, mean, provenance)
     return MorphModel(
@@ -473,7 +540,7 @@ def _model(
 
 
 def _keypoint_pass(model: MorphModel, settings: BuildSettings) -> Steps[tuple[MorphModel, tuple[str, ...]]]:
-    """Find the keypoints on the mean face, where a detector looks and none were given; else a warning."""
+    """Detect the keypoints on the mean face if none were given; return a warning if that fails."""
     if settings.detector is None or model.faceframe is not None or model.rank == 0:
         return model, ()
     try:
@@ -492,10 +559,8 @@ def _warnings(source: FrameSource, choice: ReferenceChoice, model: MorphModel) -
     if same:
         found.append(
             f"identical to the reference {choice.name}, byte for byte: {', '.join(same[:3])}"
-            f"{', ...' if len(same) > 3 else ''} ({len(same)} in all); leave out what repeats"
+            f"{', ...' if len(same) > 3 else ''} ({len(same)} in all); leave out repeated frames"
         )
     if model.rank == 0:
-        found.append(
-            "the frames do not differ from each other: the model has rank 0 and only its mean renders"
-        )
+        found.append("the frames do not differ: the model has rank 0 and shows only its mean")
     return tuple(found)

@@ -1,12 +1,11 @@
-"""Choose the reference: the frame from which all the others are best reached.
+"""Choose the reference: the frame from which the other frames are reached best.
 
-The paper asks for a neutral face, eyes open, mouth slightly open with a little of the teeth and of the dark between
-them, so that the flow finds everything it needs to make the other frames (Nagle section 2). Two measurements stand for
-that wish. What counts about a frame is how well it reaches the frames that are hardest to reach, not the many easy
-ones: extreme frames lose, those in the middle win. Among frames that do about equally well, the one is taken whose
-mouth is half way between the most closed and the most open of the clip: from a closed mouth no warp makes an open one,
-and the mean face then shows the ghost of it. Where the points of the face are known, the one is taken that is nearest
-to rest with the lips slightly apart: with the flow held to the points (`anchoring`) models then share their zero.
+Nagle et al. (section 2) ask for a neutral face with open eyes and a slightly open mouth, so that the flow finds in
+the reference what every other frame needs. Two measurements replace that judgement (ours). The first is how well a
+frame reaches the frames that are hardest to reach. The second decides among frames that are nearly as good: the mouth
+half way between the most closed and the most open of the clip. A warp cannot open a closed mouth, and the mean face
+would then show a ghost of it. If the face points are known, the frame nearest to neutral with slightly parted lips is
+taken instead, so that models whose flow is anchored to the points share their zero (`face.anchor`).
 """
 
 from __future__ import annotations
@@ -24,20 +23,22 @@ from morphspace.flow.baselines import LUMA, dis_medium, smoothed
 from morphspace.flow.starts import photometric_error
 from morphspace.steps import Step, Steps, in_order, spread
 
-POOL = 120  # frames looked at, spread evenly over the clip
-TARGETS = 14  # of them, spread evenly: the frames to be reached
-CANDIDATES = 20  # of them, spread evenly: tried as the reference first
-HALF_OPEN = 10  # then those whose mouth is nearest to half open
-SMALL_SIDE_PX = 100  # of the frames compared
-HARDEST = 0.25  # share of the frames, the hardest to reach, whose mean error is the score
-EXTREMES = (5, 95)  # percentiles; a hand before the mouth in one frame must not decide what half open is
-ABOUT_EQUAL = 1.05  # times the best score; within it the mouth decides
-NEARLY_EQUAL = 1.15  # times the best score; within it rest decides, where the points of the face tell it
+POOL = 120  # frames that are compared, spread evenly over the clip
+TARGETS = 14  # frames of the pool, spread evenly, that a candidate must reach
+CANDIDATES = 20  # frames of the pool, spread evenly, that are tried first
+HALF_OPEN = 10  # further frames, whose mouth is nearest to half open
+SMALL_SIDE_PX = 100  # px, width of the compared frames
+HARDEST = 0.25  # share of the targets, the hardest to reach, whose mean error is the score
+EXTREMES = (5, 95)  # percentiles of the contrast; one frame with a hand before the mouth must not decide
+ABOUT_EQUAL = 1.05  # times the best score; below it the mouth decides
+NEARLY_EQUAL = (
+    1.15  # times the best score; below it the distance from neutral decides, if face points are known
+)
 
 
 @dataclass(frozen=True, eq=False)
 class ReferenceChoice:
-    """Which frame became the reference (`index`, `name`), and why, in one sentence for the report."""
+    """The frame that became the reference, by index and name, and the reason in one sentence."""
 
     index: int
     name: str
@@ -46,7 +47,16 @@ class ReferenceChoice:
 
 @dataclass(frozen=True, eq=False)
 class SmallFrame:
-    """A small picture (h, w, 3) of a frame, the mask (h, w) of its face, and the contrast of its mouth."""
+    """A reduced frame for the search.
+
+    Attributes
+    ----------
+    image : array (h, w, 3)
+    mask : array (h, w)
+        The face in it.
+    contrast : float
+        `mouth_contrast` at full size.
+    """
 
     image: Image
     mask: Mask
@@ -54,9 +64,9 @@ class SmallFrame:
 
 
 def shrunk(image: Image, faceframe: FaceFrame | None) -> SmallFrame:
-    """Give a frame (h, w, 3) at about `SMALL_SIDE_PX` wide, which is enough to compare frames.
+    """Reduce a frame (h, w, 3) to a width of about `SMALL_SIDE_PX`, enough to compare frames.
 
-    `faceframe` says where the face stands, None where faces usually do.
+    `faceframe` places the face; None assumes the middle of the frame.
     """
     height, width = image.shape[:2]
     scale = min(1.0, SMALL_SIDE_PX / width)
@@ -71,12 +81,21 @@ def shrunk(image: Image, faceframe: FaceFrame | None) -> SmallFrame:
 def search(frames: Sequence[SmallFrame], far: AnyArray | None = None) -> Steps[tuple[int, dict[int, float]]]:
     """Search the reference among small frames; a generator of steps.
 
-    Where `far` (n,) tells how far each face is from rest (`facerest`), it decides instead of the contrasts; inf means
-    that no face is known there.
+    Parameters
+    ----------
+    frames : sequence of n SmallFrame
+    far : array (n,), optional
+        Distance of each face from neutral (`face.expression.far_from_rest`), inf if unknown. It replaces the
+        contrasts.
 
-    Returns its place, and the error of each place that was tried. The error of a pair is what the reference does not
-    show: how far the frame, warped to the reference, misses it, rms colour inside the mask; the error of a candidate is
-    the mean over the `HARDEST` share of the frames to be reached.
+    Returns
+    -------
+    place : int
+        The index of the reference.
+    errors : dict of int to float
+        The score of each candidate: the mean photometric error over the `HARDEST` share of the target frames. The
+        error of
+        a pair is the rms colour difference, inside the mask, of the warped frame and the candidate.
     """
     images, mask = [frame.image for frame in frames], frames[-1].mask
     contrasts = np.array([frame.contrast for frame in frames])
@@ -108,9 +127,9 @@ def _half_open(contrasts: AnyArray) -> float:
 
 
 def _missing(reference: Image, frame: Image, mask: Mask) -> float:
-    """Give what the reference does not show of a frame, the mean of both as they are and mirrored.
+    """Compute the photometric error of a pair, the mean over the pair and its mirror image.
 
-    The flow is not the mirror of its mirror; a mirrored clip must choose the mirrored reference.
+    The flow of a mirrored pair is not the mirror of the flow; a mirrored clip must choose the mirrored reference.
     """
     both = (
         (reference, frame, mask),
@@ -123,6 +142,6 @@ def _missing(reference: Image, frame: Image, mask: Mask) -> float:
 
 
 def mouth_contrast(image: Image, region: Mask) -> float:
-    """Give the sd of luma in the mouth region (h, w): small for closed lips, large where dark and teeth show."""
+    """Compute the SD of luma in the mouth region (h, w): small for closed lips, large for a visible mouth cavity."""
     inside = (image @ LUMA)[region > 0.5]
     return float(inside.std()) if inside.size else 0.0

@@ -1,8 +1,8 @@
-"""How much a pixel of warp counts against a unit of colour: chosen by how well held-out frames come back (ours).
+"""The weight of a px of warp against a unit of colour, chosen by cross-validation on held-out frames (ours).
 
-Texture and warp have different units, so their sum in one inner product needs a weight s (colour per px). Too small,
-and the components follow the light; too large, and they follow the noise of the flow. The Gram matrix for any s is
-G_texture + s^2 G_warp, so trying several costs little.
+Texture and warp have different units, so one inner product of both needs a weight s (colour per px). With a small s
+the components follow the light, with a large s the noise of the flow. The Gram matrix for any s is
+G_texture + s^2 G_warp, so several values cost little more than one.
 """
 
 from __future__ import annotations
@@ -20,13 +20,13 @@ from morphspace.linear.rows import ColumnBlocks, RowSubset
 from morphspace.model.morph import Morph, texture_columns
 from morphspace.steps import in_order
 
-FACTORS = (1.0, 2.0, 4.0)  # times the weight that gives texture and warp equal variance
-HELD_OUT = 8  # frames at most
-LARGEST_SHARE = 0.5  # of the training frames, as components: near full rank every weight gives the same
-TRIED_FRAMES = 192  # so that their Gram matrices do not grow with the clip
-MIN_FRAMES = 4  # to leave one out
-STILL_PX2 = 1e-8  # mean square warp below which nothing moves, and any weight is as good
-STILL_COLOUR2 = 1e-12  # the same for texture
+FACTORS = (1.0, 2.0, 4.0)  # times the weight at which texture and warp have equal variance
+HELD_OUT = 8  # frames at most, evenly spread
+LARGEST_SHARE = 0.5  # components per kept frame; near full rank every weight gives the same PSNR
+TRIED_FRAMES = 192  # frames at most; the Gram matrices then do not grow with the clip
+MIN_FRAMES = 4  # frames, of which one is held out
+STILL_PX2 = 1e-8  # px^2, mean square warp; below it nothing moves and every weight is equal
+STILL_COLOUR2 = 1e-12  # colour^2, the same for texture
 
 
 @dataclass(frozen=True)
@@ -38,7 +38,7 @@ class WeightTrial:
 
 
 def best_trial(trials: tuple[WeightTrial, ...]) -> float:
-    """Give the weight with the highest PSNR; 1 where nothing moved and nothing was tried."""
+    """Return the weight with the highest PSNR, or 1 if there are no trials because nothing moved."""
     return max(trials, key=lambda trial: trial.psnr_db).weight if trials else 1.0
 
 
@@ -50,10 +50,27 @@ def trial_weights(
     frames: list[Path],
     load: Callable[[Path], Image],
 ) -> tuple[WeightTrial, ...]:
-    """Try `FACTORS`: project held-out frames on components of the others, render, compare inside the mask.
+    """Cross-validate the warp weights of `FACTORS`.
 
-    Parameters: rows (n, 5 h w) morph vectors and their mean (5 h w,); mask (h, w); components asked for; frames and
-    `load` give the aligned image of each row. At most `TRIED_FRAMES` rows, evenly spread, take part.
+    Held-out frames are projected on components of the others, rendered, and compared with their pictures inside the
+    mask. At most `TRIED_FRAMES` rows, evenly spread, take part.
+
+    Parameters
+    ----------
+    rows : ColumnBlocks (n, 5 h w)
+        Morph vectors.
+    mean : array (5 h w,)
+        Their mean.
+    mask : array (h, w)
+    components : int
+        The largest number of components.
+    frames, load
+        The file of each row, and the function that reads its aligned picture (h, w, 3).
+
+    Returns
+    -------
+    tuple of WeightTrial
+        Empty if there are fewer than `MIN_FRAMES` frames, or texture or warp does not vary.
     """
     chosen = np.unique(np.linspace(0, rows.shape[0] - 1, min(rows.shape[0], TRIED_FRAMES)).round()).astype(
         np.intp
@@ -89,9 +106,9 @@ def trial_weights(
 
 
 def _mixes(gram: AnyArray, held: AnyArray, kept: AnyArray, components: int) -> AnyArray:
-    """Give each held-out face's reconstruction as weights on the kept rows, (held, kept), rows adding up to 1.
+    """Compute the reconstruction of each held-out face as weights on the kept rows, (held, kept), with rows of sum 1.
 
-    All inner products are moved from the mean of all rows to the mean of the kept ones first.
+    The inner products are centred on the mean of the kept rows first.
     """
     to_mean = gram[:, kept].mean(axis=1)
     about_kept = gram - to_mean[:, None] - to_mean[None, :] + to_mean[kept].mean()

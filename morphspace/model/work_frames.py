@@ -1,12 +1,12 @@
-"""What a build keeps of each frame in its work folder: registration, aligned picture, flow and confidence.
+"""The results of a build for each frame, kept in the work folder: registration, aligned picture, flow and confidence.
 
-What is costly about a frame is done once. Its file is named after everything it depends on, so that a build that was
-stopped goes on where it was, a build with other PCA settings starts from there, and several builds share a folder.
+These are computed once. A result's file name is a digest of all that the result depends on. So an interrupted build
+continues, a build with other PCA settings reuses the results, and several builds share a folder.
 
-The flow takes two passes. The first is coarse to fine, each frame by itself. In the second, frames that came out
-hard start again from the first pass's field of a neighbour in time, and keep what is better (`flow.starts`). A frame
-depends on its own and one neighbour's first pass, never on the order in which frames were finished: the same frames
-give the same bytes on any number of threads and after any interruption.
+The flow takes two passes. In the first, each frame is matched by itself, from coarse to fine. In the second, frames
+that were hard to match start from the first-pass field of a neighbour in time, and keep the better field
+(`flow.starts`). A result depends on the first pass of the frame and of one neighbour, never on the order of
+computation: the bytes are the same for any number of threads and after any interruption.
 """
 
 from __future__ import annotations
@@ -32,18 +32,31 @@ from morphspace.steps import Step, Steps, in_order
 from morphspace.storage import digest_of_array
 
 FRAME_FORMAT = "morphspace-work-frame-3"
-FLOW_VERSION = 7  # raise it when any flow method gives another field: kept frames are then made again
+FLOW_VERSION = 7  # increase it when a flow method changes its field: old results are then not reused
 
 FrameStart = Literal["coarse to fine", "neighbour"]
 
 
 @dataclass(frozen=True, eq=False)
 class FramePlan:
-    """How every frame is brought to the reference and found from it: all that its file depends on but the frame.
+    """Settings that apply to every frame of a build; with the frame, all that its result depends on.
 
-    `reference` (h, w, 3), which is frame `reference_index` | `region` (h, w) the rigid part that `registration` fits |
-    `flow` by name | `mask` (h, w) the face on the reference, inside which `start` chooses; not the model's mask, which
-    may change without a new flow | `anchor` holds the flow to the points of the face.
+    Attributes
+    ----------
+    reference : array (h, w, 3)
+    reference_index : int
+        The frame that is the reference.
+    region : array (h, w)
+        The rigid part that registration fits.
+    mask : array (h, w)
+        The face on the reference, inside which fields are compared. The model's mask may change without a new flow.
+    registration : {"none", "similarity", "affine"}
+    flow : str
+        Flow method.
+    start : {"auto", "none"}
+        "auto" runs the second pass.
+    anchor : FaceAnchor or None
+        Anchors the flow to the face points.
     """
 
     reference: Image
@@ -58,7 +71,7 @@ class FramePlan:
 
 @dataclass(frozen=True, eq=False)
 class WorkFrame:
-    """A frame as the work folder holds it: aligned, its flow from the reference, and the start that flow came from."""
+    """A frame in the work folder: aligned, with its flow from the reference and the start of that flow."""
 
     frame: Frame
     flow: Flow
@@ -71,10 +84,26 @@ def frame_steps(
     work_folder: Path,
     movements: Sequence[Affine | None] | None = None,
 ) -> Steps[list[Path]]:
-    """Register each frame and find its flow, or take both from the work folder; give each frame's file.
+    """Register each frame and estimate its flow, or find both in the work folder; a generator of steps.
 
-    `movements`, one for each frame, are starts of its registration (2, 3), None where nothing is known. A generator of
-    steps. Raises `BadInput` for a frame of another size than the reference.
+    Parameters
+    ----------
+    source : FrameSource
+        n frames.
+    plan : FramePlan
+    work_folder : Path
+    movements : sequence of n arrays (2, 3), optional
+        Starts of the registrations; None for an unknown one.
+
+    Returns
+    -------
+    list of n Path
+        The file of each frame.
+
+    Raises
+    ------
+    BadInput
+        If a frame and the reference differ in size.
     """
     find = methods.for_morphs(plan.flow)(plan.reference)
     if plan.anchor is not None:
@@ -93,7 +122,7 @@ def _first_pass(
     work_folder: Path,
     movements: Sequence[Affine | None],
 ) -> Steps[list[Path]]:
-    """Register each frame and find its flow, coarse to fine."""
+    """Register each frame and estimate its flow from coarse to fine."""
     common: list[Any] = [FRAME_FORMAT, FLOW_VERSION, plan.flow, plan.registration, cv2.__version__]
     common += [digest_of_array(array) for array in (plan.reference, plan.region, plan.mask)]
     if plan.anchor is not None:
@@ -126,7 +155,7 @@ def _first_pass(
 
 
 def _decoded(source: FrameSource, indices: list[int], plan: FramePlan) -> Iterator[tuple[int, Image]]:
-    """Give frames with their indices; the reference, which was decoded before, is not decoded again."""
+    """Yield frames with their indices; the reference is decoded already."""
     if plan.reference_index in indices:
         yield plan.reference_index, plan.reference
     others = [index for index in indices if index != plan.reference_index]
@@ -134,7 +163,7 @@ def _decoded(source: FrameSource, indices: list[int], plan: FramePlan) -> Iterat
 
 
 def _second_pass(plan: FramePlan, find: FlowFunction, files: list[Path]) -> Steps[list[Path]]:
-    """Try hard frames again from a neighbour's field of the first pass; give the files of what is better."""
+    """Repeat hard frames from a neighbour's first-pass field; return the files of the better results."""
     errors, folds = np.array([_judgement(file) for file in files]).T
     pairs = {
         int(index): starts.easier_neighbour(errors, int(index))
@@ -164,7 +193,7 @@ def _second_pass(plan: FramePlan, find: FlowFunction, files: list[Path]) -> Step
 
 
 def read_work_frame(file: Path, name: str = "") -> WorkFrame:
-    """Read a frame from its file, and call it `name`. Raises `UnreadableFile`."""
+    """Read a frame from its file, under the name `name`. Raises `UnreadableFile`."""
     arrays, document = read_result(file)
     frame = Frame(np.array(arrays["image"]), name, np.array(arrays["registration"]))
     flow = Flow(np.array(arrays["flow"]), np.array(arrays["confidence"]))
@@ -193,6 +222,6 @@ def _write(file: Path, plan: FramePlan, frame: Frame, flow: Flow, start: FrameSt
 
 
 def _judgement(file: Path) -> tuple[float, float]:
-    """Give the photometric error and the folds of a frame."""
+    """Read the photometric error and the share of folds of a frame."""
     document = read_result(file)[1]
     return document["photometric_error"], document["fold_fraction"]

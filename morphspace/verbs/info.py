@@ -67,7 +67,7 @@ def _blend_of(model: MorphModel) -> Mapping[str, Any] | None:
 def run(request: InfoRequest) -> Steps[Outcome]:
     """Read the model, check its digest, and give an `Outcome` with its description."""
     from morphspace.model.file import check_content
-    from morphspace.model.landmarks import told_errors
+    from morphspace.model.landmarks import error_summary
     from morphspace.model.model import load_model, points_document
     from morphspace.outcome import Outcome
     from morphspace.steps import Step
@@ -95,7 +95,7 @@ def run(request: InfoRequest) -> Steps[Outcome]:
         + (
             "not learned: `morphspace keypoints MODEL --auto` learns them, `mimic --method guided` wants them"
             if model.landmarks is None
-            else f"{model.landmarks.faces} faces, {told_errors(model.landmarks)}"
+            else f"{model.landmarks.faces} faces, {error_summary(model.landmarks)}"
         ),
         "versions   "
         + ", ".join(f"{name} {version}" for name, version in sorted(origin["versions"].items())),

@@ -161,11 +161,11 @@ def test_size_covers_and_crops_to_the_middle_and_says_so(actor: Path, tmp_path: 
     assert load_model(tmp_path / "a.morph").size == (48, 48)
 
 
-def test_more_components_than_a_model_has_is_all_of_them_and_is_said(
+def test_more_components_than_a_model_has_uses_all_of_them_with_a_note(
     actor: Path, model: Path, tmp_path: Path
 ):
     result = run("reconstruct", model, actor, "-o", tmp_path / "back", "-k", "99")
-    assert result.exit_code == 0 and "99 components were asked for" in result.stderr
+    assert result.exit_code == 0 and "99 components were requested" in result.stderr
     assert f"from {load_model(model).rank} components" in result.stdout
 
 

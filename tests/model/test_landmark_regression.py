@@ -101,7 +101,7 @@ def test_fewer_components_err_by_what_the_others_explained():
 
 def test_what_cannot_be_learned_from_is_refused():
     loadings, _, points = drawn()
-    with pytest.raises(BadInput, match="in 7 faces, at least 8"):
+    with pytest.raises(BadInput, match="in 7 faces; expected at least 8"):
         learn_landmarks(loadings[:7], points[:7], SD, NOTHING)
     with pytest.raises(BadInput, match="478"):
         learn_landmarks(loadings, points[:, :468], SD, NOTHING)

@@ -392,7 +392,7 @@ def test_frames_of_different_size_are_refused(clip, make_clip, picture, tmp_path
 
 def test_a_mask_of_the_wrong_size_is_refused(clip, tmp_path, monkeypatch):
     monkeypatch.setitem(methods.METHODS, "dis", no_flow)  # and that before any work
-    with pytest.raises(BadInput, match=r"the mask is 72x60, the frames are 60x72"):
+    with pytest.raises(BadInput, match=r"the mask is 72x60 px; expected 60x72"):
         built(clip, tmp_path, replace(PLAIN, mask=np.ones((60, 72), np.float32)))
 
 
@@ -403,7 +403,7 @@ def test_an_empty_mask_is_refused(clip, tmp_path):
 
 @pytest.mark.parametrize("components", [0, -1])
 def test_fewer_than_one_component_is_refused_before_any_work(clip, tmp_path, components):
-    with pytest.raises(BadInput, match=f"{components} components were asked for"):
+    with pytest.raises(BadInput, match=f"components is {components}; expected"):
         built(clip, tmp_path / "work", replace(PLAIN, components=components))
     assert not (tmp_path / "work").exists()
     assert built(clip, tmp_path / "work", replace(PLAIN, components=1)).model.rank == 1

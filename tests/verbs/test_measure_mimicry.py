@@ -371,10 +371,10 @@ def test_components_are_the_first_so_many(work, model):
 def test_more_components_than_there_are_is_all_of_them_and_is_said(work, model):
     good, narrow = table(work, "a", motion(), model), table(work, "narrow", motion()[:, :2], model)
     outcome = measured(work, good, good, components=9)
-    assert "9 components were asked for, drawn has 3: all of them are used" in outcome.warnings
+    assert "9 components were requested; drawn has 3, and all are used" in outcome.warnings
     assert outcome.document["components"] == 3
     outcome = measured(work, good, narrow, components=3)
-    assert "3 components were asked for, a table has 2: all of them are used" in outcome.warnings
+    assert "3 components were requested; a table has 2, and all are used" in outcome.warnings
     said = f"{narrow} has 2 of 3 components of drawn: the others are not measured"
     assert said in outcome.warnings and said in measured(work, narrow, good).warnings
     assert rows(work)["name"] == ["pc001", "pc002", "all"]

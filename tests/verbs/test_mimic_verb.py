@@ -516,7 +516,7 @@ def test_what_cannot_be_meant_is_refused_before_anything_is_written(work, more, 
 
 def test_more_components_than_there_are_is_all_of_them_and_is_said(work):
     outcome = run(work, components=3, method="paper")
-    assert "3 components were asked for, other has 2: all of them are used" in outcome.warnings
+    assert "3 components were requested; other has 2, and all are used" in outcome.warnings
     frames = {path.name: path.read_bytes() for path in (work / "out" / "frames").iterdir()}
     assert not any("components were asked" in note for note in run(work, method="paper").warnings)
     assert {path.name: path.read_bytes() for path in (work / "out" / "frames").iterdir()} == frames
@@ -593,12 +593,12 @@ def test_a_refusal_says_which_models_stay_and_the_next_run_takes_them(work, acto
     given = clip(work, actor, actor.training.values)
     seen = []
 
-    def one_face(picture):  # enough for a build to begin, too few to place keypoints
+    def one_face(picture):  # enough for a build, too few for keypoints
         seen.append(picture)
         return points() if len(seen) == 1 else None
 
     request = MimicRequest(str(work / "a.morph"), given, work / "out")
-    with pytest.raises(BadInput, match=r"too few to place keypoints.*stays in .*models \(clip\.morph\)"):
+    with pytest.raises(BadInput, match=r"expected at least half.*stays in .*models \(clip\.morph\)"):
         result_of(verb.run(request, one_face))
     stays = work / "out" / "models" / "clip.morph"
     assert load_model(stays).faceframe is None
