@@ -67,7 +67,7 @@ def _carry(
         whole = mimic(imitator, stimulus, METHOD, max_sd=np.inf)
         return lambda loadings: whole(imitator.offset(loadings)).loadings
     projection = Projection(imitator, stimulus)
-    part = masked_basis(stimulus.basis, inner_product(share * projection.seen, 1.0))
+    part = masked_basis(stimulus.basis, inner_product(share * projection.source_mask, 1.0))
 
     def seen(loadings: AnyArray) -> LoadingVector:
         return part.mean(projection.carried(imitator.offset(loadings)).vector)

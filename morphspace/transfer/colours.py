@@ -1,11 +1,12 @@
-"""The colours of a face that a model is asked for: mixed from faces it has shown, never beyond them (ours).
+"""Mix the colours of a face from the model's training faces (ours).
 
-A loading scales warp and colour together. Driven by another person a model is asked for loadings that none of its own
-frames came near; the warp bears that, since a face pulled further is a face, but colours do not: teeth turn to stripes,
-lips to skin. Suwajanakorn's puppets never leave the photographs of the person. So here the colours are a convex mixture
-of the model's training faces, which lie on the mean face feature by feature: those whose lips, or lids and brows, have
-the shape that was asked for. The part above the nose and the part below it are mixed by themselves, as brows and mouths
-combine freely. As colours are linear in the loadings, a mixture of training faces is the face of the mixed loadings.
+A loading scales warp and colour together. Driven by another person, a model receives loadings far from those of its
+own frames. The warp tolerates that: a face pulled further is still a face. Colours do not: teeth turn to stripes,
+lips to skin. The puppets of Suwajanakorn, Seitz and Kemelmacher-Shlizerman (ICCV 2015) use only photographs of the
+person. Here the colours are a convex mixture of training faces on the mean face, where features lie on each other.
+The mixture prefers faces whose lips, or lids and brows, have the requested shape. The parts above and below the nose
+are mixed separately, since brows and mouths combine freely. Colours are linear in the loadings, so a mixture of
+training faces is the face of the mixed loadings.
 """
 
 from __future__ import annotations
@@ -27,51 +28,58 @@ from morphspace.model.morph import MorphOffset
 UPPER_FROM, LOWER_FROM = (
     0.35,
     0.70,
-)  # of the way from the eyes to the philtrum: between them one part becomes the other
-# What a training face costs for being unlike what is asked for, beside what its mixture misses. At 1 fewer faces are
-# mixed, which is a little sharper and follows a little worse.
+)  # eyes to philtrum is 0 to 1; between these places the upper part blends into the lower
+# Weight of each training face's own distance against the distance of the mixture. At 1 fewer faces are mixed: colours
+# are a little sharper and follow a little worse.
 LOCALITY = 0.3
 NEAR_MEAN_SD = (
-    0.1  # root mean square length; nearer than this a face turns into the mean, which no frame shows
+    0.1  # SD, root mean square; nearer to the mean a face fades into the mean, which no frame shows
 )
-NEAREST = 100  # training faces that are mixed at most; the others are farther from what is asked for
+NEAREST = 100  # training faces in a mixture at most
 OPENING = (
-    2.0  # of how far two lips or two lids are apart, beside where a landmark is: it decides what can be seen
+    2.0  # weight of a gap between lips or lids against a landmark's position: gaps decide what is visible
 )
 
 
 @dataclass(frozen=True, eq=False)
 class Part:
-    """A part of the picture, which is mixed by itself.
+    """A part of the picture with its own mixture.
 
-    `shape` (k, m) is what tells faces apart there, per unit of each loading, in eye distances | `seen` (f, m), the same
-    of each training face | `places` of its n pixels | `colours` (k, 3 n), the components there, each times how far the
-    pixel belongs to the part.
+    Attributes
+    ----------
+    shape : array (k, m)
+        Features by which faces are compared in this part, per unit of each loading, in eye distances.
+    training_shapes : array (f, m)
+        The features of the f training faces.
+    places : array (n,)
+        Indices of the part's pixels.
+    colours : array (k, 3 n)
+        The components' colours there, times the pixel's membership in the part.
     """
 
     shape: AnyArray
-    seen: AnyArray
+    training_shapes: AnyArray
     places: AnyArray
     colours: AnyArray
 
 
 @dataclass(frozen=True, eq=False)
 class MixedColours:
-    """The colours of faces of `model`, mixed from its training faces. Raises `BadInput` where it has no faceframe."""
+    """Colours of faces of `model`, mixed from its training faces. Raises `BadInput` if it has no faceframe."""
 
     model: MorphModel
 
     def offset(self, loadings: LoadingVector) -> MorphOffset:
-        """Give the difference from the mean of a face: its colours mixed, its warp that of the loadings (k,)."""
+        """Compute the offset of the face of raw loadings (k,): mixed colours, and the warp of the loadings."""
         model = self.model
         return MorphOffset.of(
             self.change(loadings), model.displacement_offset(loadings), model.mean.reference_id
         )
 
     def change(self, loadings: LoadingVector) -> Image:
-        """Give the texture (h, w, 3) of the face of loadings (k,), relative to the mean's.
+        """Mix the texture (h, w, 3) of the face of raw loadings (k,), relative to the mean's.
 
-        A training face keeps its own, and so does the mean.
+        A training face keeps its own texture, and so does the mean.
         """
         stacked = np.empty((sum(len(part.places) for part in self.parts), 3), np.float32)
         start = 0
@@ -87,24 +95,29 @@ class MixedColours:
         return out.reshape(*self.model.mask.shape, 3)
 
     def mixed(self, part: Part, loadings: LoadingVector) -> LoadingVector:
-        """Give the mixture of training faces (k,) that shows what the face of these loadings shows in a part."""
-        apart = part.seen - np.asarray(loadings, np.float64) @ part.shape
+        """Return the loadings (k,) of the mixture of training faces that comes closest to a face in one part."""
+        apart = part.training_shapes - np.asarray(loadings, np.float64) @ part.shape
         costs = LOCALITY * (apart * apart).sum(axis=1)
         near: AnyArray | slice = slice(None)
         if len(costs) > NEAREST:
             near = np.sort(np.argsort(costs, kind="stable")[:NEAREST])
-        away = min(float(np.sqrt(np.mean((loadings / self.model.sd) ** 2))) / NEAR_MEAN_SD, 1.0)
-        return away * away * (3 - 2 * away) * (nearest_mixture(apart[near], costs[near]) @ self.faces[near])
+        distance = min(float(np.sqrt(np.mean((loadings / self.model.sd) ** 2))) / NEAR_MEAN_SD, 1.0)
+        return (
+            distance
+            * distance
+            * (3 - 2 * distance)
+            * (nearest_mixture(apart[near], costs[near]) @ self.faces[near])
+        )
 
     @cached_property
     def faces(self) -> LoadingTable:
-        """The training faces (n, k); the mean alone where the model holds none."""
+        """The raw loadings (f, k) of the training faces; the mean alone if the model holds none."""
         values = np.asarray(self.model.training.values, np.float64)
         return values if len(values) else np.zeros((1, self.model.rank))
 
     @cached_property
     def parts(self) -> tuple[Part, ...]:
-        """The face above the nose, the face below it, and what lies around it."""
+        """The face above the nose, the face below it, and the surroundings."""
         inside, lower = self.model.mask, _lower(self.model)
         shares = {"upper": inside * (1 - lower), "lower": inside * lower, "around": 1 - inside}
         shapes = _shapes(self.model, shares)
@@ -112,8 +125,10 @@ class MixedColours:
 
     @cached_property
     def layers(self) -> tuple[AnyArray, tuple[tuple[AnyArray, AnyArray], ...]]:
-        """Where each of the h w pixels stands among those of all parts, one part after the other: in the first part
-        that has it; and of further parts the pixels that an earlier one has too, with where they stand.
+        """How the pixels of all parts, in one stack, add up to the picture.
+
+        The first array (h w,) is the row of each pixel in the first part that contains it. The pairs list, for each
+        further part, the pixels that an earlier part contains too, and their rows.
         """
         first = np.full(self.model.mask.size, -1)
         further, start = [], 0
@@ -126,7 +141,7 @@ class MixedColours:
         return first, tuple(further[1:])
 
     def _part(self, shape: AnyArray, share: Mask) -> Part:
-        """Copy the components where the part is: most pixels belong to one part, and are read once."""
+        """Copy the components at the part's pixels; most pixels belong to one part and are read once."""
         places = np.flatnonzero(share)
         textures = self.model.component_textures.reshape(self.model.rank, -1, 3)
         colours = np.take(textures, places, axis=1)  # a copy
@@ -135,7 +150,7 @@ class MixedColours:
 
 
 def _lower(model: MorphModel) -> Mask:
-    """Give how far each point of the mean face belongs to its lower part, (h, w) in [0, 1]."""
+    """Compute the membership of each point of the mean face in its lower part, (h, w) in [0, 1]."""
     right, left, lip = required_faceframe(model).points
     eyes = (right + left) / 2
     down = (lip - eyes) / float((lip - eyes) @ (lip - eyes))
@@ -147,9 +162,9 @@ def _lower(model: MorphModel) -> Mask:
 
 
 def _shapes(model: MorphModel, shares: Mapping[str, Mask]) -> dict[str, AnyArray]:
-    """Give what tells faces apart in each part, (k, m), in eye distances per loading.
+    """Compute the features by which faces are compared in each part, (k, m), in eye distances per loading.
 
-    Landmarks, root mean square, inside the face where the model knows any, else the warp of every point.
+    These are the landmarks, root mean square, if the model has any in the part, else the warp of all its points.
     """
     right, left, _ = required_faceframe(model).points
     eyes_px = float(np.hypot(*(left - right)))
@@ -166,8 +181,8 @@ def _shapes(model: MorphModel, shares: Mapping[str, Mask]) -> dict[str, AnyArray
     eyes = lids[:, :half], lids[:, half:]
     upper = [*map(_about_middle, eyes), *map(_gaps, eyes), brows - lids.mean(axis=1, keepdims=True)]
     if by_warp is not None and moved is not by_warp:
-        # What the colours alone have moved must agree too, or a brow that the warp raises is raised again in colour.
-        # Lips are left out: with them teeth slid over the lip more often than they stayed behind it.
+        # Movement in colour alone must agree too: a brow that the warp raises would else be raised again in colour.
+        # Lips are left out, since teeth then slid over the lip more often than they stayed behind it.
         by_colour = moved - by_warp
         upper += [by_colour[:, landmark_places(name)] for name in ("lids", "brows")]
     lower = [_about_middle(np.concatenate([outer, inner], axis=1)), _gaps(inner)]
@@ -175,7 +190,7 @@ def _shapes(model: MorphModel, shares: Mapping[str, Mask]) -> dict[str, AnyArray
 
 
 def _about_middle(moved: AnyArray) -> AnyArray:
-    """Leave out where the whole of it goes: colours tell how a mouth is shaped, the warp where it is."""
+    """Subtract the mean movement: colours depend on a mouth's shape, the warp on its position."""
     return moved - moved.mean(axis=1, keepdims=True)
 
 
@@ -184,14 +199,14 @@ def _gaps(ring: AnyArray) -> AnyArray:
 
 
 def _together(shapes: list[AnyArray]) -> AnyArray:
-    """Lay shapes (k, m_i, 2) side by side, each a mean over its points: (k, m)."""
+    """Concatenate shapes (k, m_i, 2), each divided by the root of its number of points: (k, m)."""
     return np.concatenate(
         [shape.reshape(len(shape), -1) / np.sqrt(shape.shape[1]) for shape in shapes], axis=1
     )
 
 
 def _fields_shape(model: MorphModel, share: Mask) -> AnyArray:
-    """Give a matrix (k, k) px whose rows are as far apart as the components' warps, root mean square in a part."""
+    """Compute a matrix (k, k) px whose rows differ as the components' warps do, root mean square in a part."""
     weight = share.reshape(-1)
     fields = model.component_displacements.reshape(model.rank, -1, 2)
     gram = np.zeros((model.rank, model.rank))

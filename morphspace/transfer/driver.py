@@ -1,7 +1,7 @@
-"""The frames that drive a mimicry: pictures of a clip, or the source's own training loadings (Nagle section 3).
+"""The driving frames of a mimicry: pictures of a clip, or the source's own training loadings (Nagle et al., section 3).
 
-A driving frame is either a picture, which is aligned and taken apart on the source's mean face, or a row of the
-source's own training loadings. Frames are read one at a time, so that a clip may be of any length.
+Pictures are aligned and vectorised on the source's mean face. Frames are read one at a time, so that a clip may have
+any length.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from morphspace.storage import digest_of_json
 
 @dataclass(frozen=True, eq=False)
 class UsedModel:
-    """A model that takes part, the file it lies in, and that file's SHA-256."""
+    """A model of the mimicry, its file and the file's SHA-256."""
 
     model: MorphModel
     path: Path
@@ -32,13 +32,28 @@ class UsedModel:
 
 @dataclass(frozen=True, eq=False)
 class Driver:
-    """The frames that drive.
+    """The driving frames of a source.
 
-    `names` of the frames | `digests` of what each is | `inputs` name to digest, for the record | `given` yields what is
-    known of the frames at these places, one at a time: pictures (h, w, 3) of the source's size, or loadings (k,) |
-    `offset` takes one of them apart, by its name, relative to the source's mean, told what the source's own detector
-    found in it where that was asked | `picture` draws one of them (h, w, 3) | `files` they lie in | `notes` on what was
-    done to the frames | `is_pictures` tells whether faces can be looked for in them, or their loadings are known.
+    Attributes
+    ----------
+    name : str
+    names, digests : tuple of n str
+        Name and content digest of each frame.
+    inputs : dict
+        Name to digest, for the record.
+    rate_hz : float or None
+    given : function
+        Yields the frames at some places, one at a time: pictures (h, w, 3) of the source's size, or raw loadings
+        (k,).
+    offset : function
+        Computes the offset of a frame from the source's mean, from its name, the frame, and its face points if known.
+    picture : function
+        Draws a frame (h, w, 3).
+    files : tuple of Path
+    notes : tuple of str
+        Changes that were made to the frames.
+    is_pictures : bool
+        Whether the frames are pictures, in which faces can be detected, or loadings.
     """
 
     name: str
@@ -55,11 +70,19 @@ class Driver:
 
 
 def training_driver(source: UsedModel) -> Driver:
-    """Let the source's own training frames drive, from their loadings; a picture of one is its reconstruction."""
+    """Make a driver of the source's training loadings; the picture of a frame is its reconstruction.
+
+    Raises
+    ------
+    BadInput
+        If the model holds no training frames.
+    """
     model = source.model
     loadings = model.training.values
     if len(loadings) == 0:
-        raise BadInput(f"{source.path} holds no training frames: give driving frames with --frames")
+        raise BadInput(
+            f"{source.path} has no training frames; expected at least 1. Give driving frames with --frames"
+        )
     rate = model.provenance.get("frame_rate_hz")
     return Driver(
         name=model.identity,
@@ -75,7 +98,13 @@ def training_driver(source: UsedModel) -> Driver:
 
 
 def clip_driver(source: UsedModel, frames: str) -> Driver:
-    """Let a clip drive: each frame is aligned to the source's reference and taken apart on its mean face."""
+    """Make a driver of a clip, whose frames are aligned to the source's reference.
+
+    Raises
+    ------
+    BadInput, UnreadableFile
+        If the clip cannot be read, or its pictures are too small.
+    """
     model = source.model
     framed = framed_for(model, (frames,), None)
 

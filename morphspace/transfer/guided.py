@@ -1,7 +1,7 @@
-"""Landmarks of the source as observations of the target's loadings (ours; methods 5, step 6).
+"""Landmarks of the source as observations of the target's loadings (ours).
 
-A closing eye is a warp in one model and a change of colour in another. The landmark regressions of both models know
-where lids and lips are drawn either way, so that landmarks match the two by meaning.
+A closing eye may be a warp in one model and a change of colour in another. The landmark regressions of both models
+predict where lids and lips are drawn in either case, so that landmarks match by meaning.
 """
 
 from __future__ import annotations
@@ -16,37 +16,41 @@ from morphspace.linear.posterior import Observations
 from morphspace.model.keypoints import required_landmarks
 from morphspace.transfer.projection import Projection
 
-# Groups of landmarks that models tend to say in colour; the warp knows brows, jaw and outer lips better.
+# Groups of landmarks whose movement models tend to express in colour; brows, jaw and outer lips are in the warp.
 GUIDES = ("lids", "inner lips")
-GUIDE_TRUST = 1000.0  # of a landmark, beside all that the offset says; 10 moves little, 5000 gave like faces
-LEAST_ERROR_PX = 0.5  # of a landmark in one model along one axis: a smaller leave-one-out error is luck
+GUIDE_TRUST = 1000.0  # factor on a landmark's precision; 10 changed little, 5000 gave similar faces
+LEAST_ERROR_PX = 0.5  # px, of a landmark in one model along one axis; smaller leave-one-out errors are chance
 
 
 @dataclass(frozen=True, eq=False)
 class LandmarkGuide:
-    """How far the target's landmarks move with its loadings, and how far the source asks them to.
+    """The target's landmarks as functions of its loadings, and the movement that the source requests of them.
 
-    Parameters
+    Attributes
     ----------
     observations : Observations
         Weights (k_B, 2 m) px per loading of the target, and precision (2 m,) in 1 / px^2.
-    asked : (k_A, 2 m)
-        Movement in px on the target's mean face per loading of the source.
+    asked : array (k_A, 2 m)
+        Requested movement in px on the target's mean face, per loading of the source.
     """
 
     observations: Observations
     asked: AnyArray
 
     def moved(self, loadings: LoadingVector) -> AnyArray:
-        """Give how far the source's loadings (k_A,) ask the landmarks to move, (2 m,) px on the target's mean face."""
+        """Compute the movement (2 m,) px on the target's mean face that raw loadings (k_A,) of the source request."""
         return loadings @ self.asked
 
 
 def landmark_guide(projection: Projection) -> LandmarkGuide:
-    """Give what the landmarks of the source ask of the target's: those of `GUIDES`, from both models' regressions.
+    """Prepare the landmarks of `GUIDES` of a pair of models.
 
-    A landmark counts as its leave-one-out errors in both models allow. Raises `BadInput` where a model has no
-    regression.
+    The precision of a landmark follows from its leave-one-out errors in both models.
+
+    Raises
+    ------
+    BadInput
+        If a model has no landmark regression, or the models cannot be linked.
     """
     source, target = projection.source, projection.target
     here, there = required_landmarks(source), required_landmarks(target)
@@ -58,7 +62,7 @@ def landmark_guide(projection: Projection) -> LandmarkGuide:
         asked.append((here.weights[:, places] @ linear.T).reshape(source.rank, -1))
         scales = (np.sqrt(abs(np.linalg.det(linear))), 1.0)
         errors = [
-            np.maximum(scale * one.error_px[places] / np.sqrt(2), LEAST_ERROR_PX)  # of each axis
+            np.maximum(scale * one.error_px[places] / np.sqrt(2), LEAST_ERROR_PX)  # along one axis
             for scale, one in zip(scales, (here, there), strict=True)
         ]
         precision.append(np.repeat(GUIDE_TRUST / (errors[0] ** 2 + errors[1] ** 2), 2))

@@ -1,13 +1,17 @@
-"""Drive one person's model with another person's face, by four methods (Nagle section 3 and ours).
+"""Drive one person's model with another person's face, by four methods (Nagle et al., section 3, and ours).
 
-A face of the source is a point on the source's mean face; what mimicry carries over is its difference from that mean.
-The affine between the two faceframes brings the difference to the target's mean face, and the target's components say
-how much of it the target can show. `paper` takes inner products, as published (`projection`). `map` asks for the most
-probable face of the target instead, and looks only where the source has something to say (`probable`). `transfer`
-listens to lids, brows and lips more than to cheeks, where it knows where they are, keeps half of the motion that the
-target's components cannot express (`residual_motion`), and mixes the colours from faces the target has shown
-(`colours`). `guided` does so too, and also takes how far the source's lids and inner lips have moved, which the
-landmark regressions of both models know (`guided`).
+Mimicry carries over the difference between a face of the source and the source's mean. The affine between the two
+faceframes brings it to the target's mean face. The methods differ in how the target's loadings are computed:
+
+- `paper`: inner products with the target's components, as published (`projection`).
+- `map`: the most probable face of the target, given only what lies inside the source's mask (`probable`).
+- `transfer`: as `map`, with lids, brows and lips weighted more than cheeks if their position is known. Half of the
+  motion outside the target's components is added (`residual_motion`), and the colours are mixed from training faces
+  of
+  the target (`colours`).
+- `guided`: as `transfer`, with the movement of the source's lids and inner lips as further observations, by the
+  landmark
+  regressions of both models (`guided`).
 """
 
 from __future__ import annotations
@@ -35,14 +39,14 @@ Method = Literal["paper", "map", "transfer", "guided"]
 METHODS: tuple[Method, ...] = get_args(Method)
 WITH_RESIDUAL: tuple[Method, ...] = ("transfer", "guided")
 """Methods that add residual motion and mix colours; their gain is chosen automatically."""
-MAX_SD = 3.0  # of a component, where it is not asked otherwise
-GAIN_FACES = 40  # of the source's training faces, evenly spread, from which `auto_gain` is taken
-GAIN_RANGE = (1.0, 1.3)  # beyond it, targets that never show what is asked are torn
+MAX_SD = 3.0  # SD of a component, the default bound
+GAIN_FACES = 40  # training faces of the source, evenly spread, for `auto_gain`
+GAIN_RANGE = (1.0, 1.3)  # a higher gain tears targets whose frames show nothing similar
 
 
 @dataclass(frozen=True, eq=False)
 class Mimicry:
-    """A face of the target: its loadings (k,), the morph that was made, and its quality."""
+    """A face of the target: its raw loadings (k_B,), its morph, and its quality."""
 
     loadings: LoadingVector
     morph: Morph
@@ -50,14 +54,14 @@ class Mimicry:
 
 
 class Mimic(Protocol):
-    """Turns a difference from the source's mean into a face of the target."""
+    """A function from an offset of the source to a face of the target."""
 
     def __call__(self, offset: MorphOffset, loadings: LoadingVector | None = None) -> Mimicry:
-        """Give the face. `loadings` (k_A,) are the offset's on the source's components, read from it where None."""
+        """Compute the face. `loadings` (k_A,) are the offset's in the source's model; None projects the offset."""
 
 
 Solve = Callable[[MorphOffset, MorphOffset, LoadingVector | None], LoadingVector]
-"""Reads loadings (k_B,) from a difference of the source, the same carried, and its loadings where known."""
+"""Computes loadings (k_B,) from an offset of the source, the carried offset, and the source's loadings if known."""
 
 
 def mimic(
@@ -69,40 +73,51 @@ def mimic(
     max_sd: float = MAX_SD,
     neutral: Neutral | None = None,
 ) -> Mimic:
-    """Prepare a pair of models, and give the function that makes the target show what the source shows.
+    """Prepare a pair of models; return the function that transfers an expression from source to target.
 
     Parameters
     ----------
     source, target : MorphModel
     method : {"paper", "map", "transfer", "guided"}
     gain : float
-        Multiplies the loadings.
+        Multiplies the target's loadings; 1 is veridical.
     max_sd : float
-        Bounds each loading (`bounded`), in SD of its component.
+        Bound of each loading, in SD of its component (`bounded`).
     neutral : Neutral, optional
-        The neutral faces of both; the means where None.
+        The neutral faces of both; None for the means.
+
+    Returns
+    -------
+    Mimic
 
     Raises
     ------
     BadInput
-        For an unknown method, a bound that is not positive, a model without components or without keypoints, a
-        `neutral` of other models, and with `guided` a model without a landmark regression.
+        If the method is unknown, the bound is not positive, a model has no components or no keypoints, or `neutral`
+        belongs
+        to other models; with `guided` also if a model has no landmark regression.
+
+    References
+    ----------
+    Nagle et al., section 3, for `paper`; the other methods are ours.
     """
     if method not in METHODS:
-        raise BadInput(f"there is no mimicry by {method!r}: choose one of {', '.join(METHODS)}")
+        raise BadInput(f"the method is {method!r}; expected one of {', '.join(METHODS)}")
     if not max_sd > 0 or not np.isfinite(gain):
-        raise BadInput(f"a bound of {max_sd} SD and a gain of {gain} cannot be used: give a positive bound")
+        raise BadInput(f"max_sd is {max_sd} and gain {gain}; expected a bound above 0 and a finite gain")
     if target.rank < 1:
-        raise BadInput(f"the model of {target.identity} has no component: there is nothing it could show")
+        raise BadInput(
+            f"the model of {target.identity} has no component; expected at least 1. Build it from frames that differ"
+        )
     projection = Projection(source, target)
-    _ = projection.affine  # models that cannot be linked are refused here
+    _ = projection.affine  # raises if the models cannot be linked
     solve = _solve_of(projection, method)
     sd = target.sd
     neutral = neutral or neutral_of(source, target, MEAN)
     since_neutral = _since_neutral(source, target, neutral)
     target_neutral = neutral.offsets(source, target)[1]
     colours = MixedColours(target) if method in WITH_RESIDUAL else None
-    residual = residual_motion_of(target, projection.seen) if method in WITH_RESIDUAL else None
+    residual = residual_motion_of(target, projection.source_mask) if method in WITH_RESIDUAL else None
 
     def to_target(offset: MorphOffset, loadings: LoadingVector | None = None) -> Mimicry:
         offset, loadings = since_neutral(offset, loadings)
@@ -126,7 +141,7 @@ def mimic(
 def _since_neutral(
     source: MorphModel, target: MorphModel, neutral: Neutral
 ) -> Callable[[MorphOffset, LoadingVector | None], tuple[MorphOffset, LoadingVector | None]]:
-    """Prepare what takes the source's neutral face off a face of the source, and off its loadings where known."""
+    """Return the function that subtracts the source's neutral face from an offset, and from its loadings if known."""
     neutral_face = neutral.offsets(source, target)[0]
 
     def since(
@@ -163,15 +178,19 @@ def _solve_of(projection: Projection, method: Method) -> Solve:
 def auto_gain(
     source: MorphModel, target: MorphModel, method: Method = "transfer", *, neutral: Neutral | None = None
 ) -> float:
-    """Give the gain at which the target moves as far as the source, on average over the source's training faces.
+    """Compute the gain at which the target moves as far as the source, on average over training faces (ours).
 
-    A projection keeps what the target's components can show, so it moves less: faces come out muted. The gain is the
-    ratio of the root mean squares of the carried and of the projected displacement inside both masks, within
-    `GAIN_RANGE`. Raises as `mimic`.
+    A projection keeps only what the target's components can show, so that faces come out muted. The gain is the ratio
+    of the root mean squares of the carried and the projected displacement inside both masks, within `GAIN_RANGE`.
+
+    Parameters
+    ----------
+    source, target, method, neutral
+        As `mimic`, which also lists the errors.
     """
     projection = Projection(source, target)
     solve = _solve_of(projection, method)
-    inside = (projection.seen * target.mask)[..., None]
+    inside = (projection.source_mask * target.mask)[..., None]
     since_neutral = _since_neutral(source, target, neutral or neutral_of(source, target, MEAN))
     asked, shown = 0.0, 0.0
     for index in spread(len(source.training.values), GAIN_FACES):

@@ -1,9 +1,9 @@
-"""The neutral face of each of two models in a mimicry (ours; Nagle section 3 asks for means of like expressions).
+"""The neutral faces of source and target (ours; Nagle et al., section 3, require means of like expressions).
 
-A face is carried over as its difference from the source's mean. Where one mean smiles and the other does not, the
-target smiles whenever the source is neutral. So the means are compared by their lips, which identity changes less than
-brows and lids. Where they are far apart, the training frame of the source that looks most like the target's mean takes
-the place of the source's mean. Or a person names a neutral frame of each.
+Mimicry carries over the difference from the source's mean. If one mean smiles and the other does not, the target
+smiles whenever the source is neutral. So the means are compared by their lips, which differ less between people than
+brows and lids. If they are far apart, the source's training frame that is nearest to the target's mean replaces the
+source's mean. Alternatively, a person names a neutral frame of each model.
 """
 
 from __future__ import annotations
@@ -26,29 +26,30 @@ from morphspace.model.keypoints import (
 from morphspace.model.model import MorphModel
 from morphspace.model.morph import MorphOffset
 
-# Of the eye distance. Five people's means with lips half open: .03 to .05; against the mean of a smile: .07 to .11.
+# Eye distances. Means of five people with half-open lips differ by .03 to .05; from the mean of a smile by .07 to .11.
 FAR_APART = 0.06
-WORTHWHILE = 0.85  # a frame must come at least so much nearer than the mean
-AUTOMATIC, MEAN = "auto", "mean"  # values of --neutral that are no frame
+WORTHWHILE = 0.85  # times the means' distance; a frame that replaces the mean is below it
+AUTOMATIC, MEAN = "auto", "mean"  # values of --neutral that name no frame
 
 
 @dataclass(frozen=True, eq=False)
 class Neutral:
-    """The faces of source and target that count as neutral.
+    """The neutral faces of a source and a target.
 
-    Mimicry carries over how far a face of the source is from the source's neutral face, and adds it to the target's.
+    Mimicry takes the difference from the source's neutral face and adds it to the target's.
 
-    Parameters
+    Attributes
     ----------
     asked : str
-        What was asked for: `auto`, `mean`, or names of training frames.
-    source, target : (k_A,), (k_B,)
-        Loadings of the neutral faces; zeros are the means.
-    source_frame, target_frame : str, optional
-        The training frames they come from; None for the mean.
-    means_apart, apart : float, optional
-        Distance of the lips of the two mean faces, and of the two neutral faces, after the affine, in eye distances of
-        the target. None where the points of the lips are not known.
+        The request: `auto`, `mean`, or names of training frames.
+    source, target : array (k_A,), (k_B,)
+        Raw loadings of the neutral faces; zeros are the means.
+    source_frame, target_frame : str or None
+        Their training frames; None for the mean.
+    means_apart, apart : float or None
+        Distance between the lips of the two means, and of the two neutral faces, after the affine, in eye distances
+        of the
+        target. None if a model has no mesh points.
     """
 
     asked: str
@@ -67,15 +68,18 @@ class Neutral:
     def offsets(
         self, source: MorphModel, target: MorphModel
     ) -> tuple[MorphOffset | None, MorphOffset | None]:
-        """Give the neutral faces of source and target relative to their means; None for a mean.
+        """Compute the offsets of both neutral faces from their means; None for a mean.
 
-        Raises `BadInput` where the loadings are those of other models.
+        Raises
+        ------
+        BadInput
+            If the loadings belong to other models.
         """
         for model, loadings in ((source, self.source), (target, self.target)):
             if loadings.shape != (model.rank,):
                 raise BadInput(
-                    f"the neutral face of {model.identity} has {len(loadings)} loadings, its model has {model.rank} "
-                    "components: make it from the same models"
+                    f"the neutral face of {model.identity} has {len(loadings)} loadings; expected {model.rank}, its "
+                    "model's components. Choose it for the same models"
                 )
         return (
             source.offset(self.source) if self.source.any() else None,
@@ -84,7 +88,7 @@ class Neutral:
 
     @property
     def settings(self) -> dict[str, Any]:
-        """What records and finished frames say of it."""
+        """The entries for records and finished frames."""
         return {
             "asked": self.asked,
             "source_frame": self.source_frame,
@@ -94,7 +98,7 @@ class Neutral:
         }
 
     def notes(self, source: MorphModel, target: MorphModel) -> tuple[str, ...]:
-        """Say in one line which frames are neutral and why, or that the means are far apart and still are neutral."""
+        """Report in one line which frames are neutral and why, or warn that the means are far apart."""
         if self.is_means:
             return self._apart_notes(source, target)
         moved = [
@@ -110,37 +114,42 @@ class Neutral:
             if self.means_apart is None
             else f": the means differ by {self.means_apart:.1%} of the eye distance"
         )
-        left = "" if self.apart is None else f", these faces by {self.apart:.1%}"
+        after = "" if self.apart is None else f", these faces by {self.apart:.1%}"
         choose = "; --neutral chooses other frames" if self.asked == AUTOMATIC else ""
-        return (f"{' and '.join(moved)}{why}{left}{choose}",)
+        return (f"{' and '.join(moved)}{why}{after}{choose}",)
 
     def _apart_notes(self, source: MorphModel, target: MorphModel) -> tuple[str, ...]:
         if self.means_apart is None or self.means_apart <= FAR_APART:
             return ()
         why = f", and no frame of {source.identity} comes much nearer" if self.asked == AUTOMATIC else ""
         return (
-            f"the lips of the two mean faces lie {self.means_apart:.1%} of the eye distance apart{why}: what is "
-            f"neutral for {source.identity} is not for {target.identity}, and every face is off by the difference. "
-            "Name a neutral frame of each with --neutral A_FRAME,B_FRAME, or build both models from frames of like "
+            f"the lips of the two mean faces lie {self.means_apart:.1%} of the eye distance apart{why}; "
+            f"expected at most {FAR_APART:.1%}. Every face of {target.identity} will contain the difference. Name a "
+            "neutral frame of each with --neutral A_FRAME,B_FRAME, or build both models from frames of like "
             "expressions",
         )
 
 
 def neutral_of(source: MorphModel, target: MorphModel, asked: str = AUTOMATIC) -> Neutral:
-    """Give the neutral faces of two models.
+    """Choose the neutral faces of two models.
 
     Parameters
     ----------
     source, target : MorphModel
     asked : str
-        `mean`: the means. A_FRAME or A_FRAME,B_FRAME: training frames by name, with or without suffix, or `mean`; the
-        target's is the mean where it is not named. `auto`: the means, unless their lips lie further apart than
-        `FAR_APART` and a training frame of the source comes much nearer to the target's mean; then that frame.
+        `mean` for the means. A_FRAME or A_FRAME,B_FRAME for training frames by name, with or without suffix, or
+        `mean`; the
+        target's default is the mean. `auto` for the means, unless their lips are further apart than `FAR_APART` and a
+        training frame of the source is nearer to the target's mean by `WORTHWHILE`; then for that frame.
+
+    Returns
+    -------
+    Neutral
 
     Raises
     ------
     BadInput
-        For a name that is none, or more than one, of the training frames, and where the models cannot be linked.
+        If a name is not that of exactly one training frame, or the models cannot be linked.
     """
     if asked == AUTOMATIC:
         return _automatic(source, target)
@@ -155,7 +164,7 @@ def neutral_of(source: MorphModel, target: MorphModel, asked: str = AUTOMATIC) -
 
 
 def _automatic(source: MorphModel, target: MorphModel) -> Neutral:
-    """Give the means, or the source's frame nearest to the target's mean where they are far apart."""
+    """Choose the means, or the source's frame nearest to the target's mean if the means are far apart."""
     before = means_apart(source, target)
     zeros = np.zeros(target.rank)
     means = Neutral(AUTOMATIC, np.zeros(source.rank), zeros, means_apart=before, apart=before)
@@ -173,21 +182,34 @@ def _automatic(source: MorphModel, target: MorphModel) -> Neutral:
 
 
 def means_apart(source: MorphModel, target: MorphModel) -> float | None:
-    """Give how far the lips of the source's mean face lie from the target's, after the affine, in eye distances.
+    """Measure the distance between the lips of the two mean faces, after the affine, in eye distances of the target.
 
-    Root mean square over the mesh points of the lips. None where one of them has no mesh points (`keypoints --auto`).
-    Raises `BadInput` where the models cannot be linked.
+    Returns
+    -------
+    float or None
+        Root mean square over the mesh points of the lips; None if a model has no mesh points (`keypoints --auto`).
+
+    Raises
+    ------
+    BadInput
+        If the models cannot be linked.
     """
     return _apart(source, target, np.zeros(source.rank), np.zeros(target.rank))
 
 
 def neutral_names(asked: str) -> tuple[str | None, str | None]:
-    """Read A_FRAME[,B_FRAME]; None stands for the mean. Raises `BadInput` for anything else."""
+    """Parse A_FRAME[,B_FRAME]; None stands for the mean. Raises `BadInput` for anything else.
+
+    Examples
+    --------
+    >>> neutral_names("calm.png")
+    ('calm.png', None)
+    """
     words = [word.strip() for word in asked.split(",")]
     if len(words) > 2 or not all(words) or (AUTOMATIC in words and len(words) > 1):
         raise BadInput(
-            f"--neutral {asked!r} cannot be read: give auto, mean, or A_FRAME or A_FRAME,B_FRAME, names of frames the "
-            "models were built from"
+            f"--neutral is {asked!r}; expected auto, mean, A_FRAME or A_FRAME,B_FRAME. Name frames from which the "
+            "models were built"
         )
     first, second = (None if word == MEAN else word for word in (*words, MEAN)[:2])
     return first, second
@@ -202,11 +224,12 @@ def _frame(model: MorphModel, name: str | None) -> tuple[LoadingVector, str | No
         places = [place for place, known in enumerate(names) if PurePath(known).stem == name]
     if not places:
         raise BadInput(
-            f"the model of {model.identity} has no training frame {name!r}: its frames are {names[0]} to {names[-1]}"
+            f"the model of {model.identity} has no training frame {name!r}; expected a name from {names[0]} to "
+            f"{names[-1]}"
         )
     if len(places) > 1:
         raise BadInput(
-            f"{len(places)} training frames of {model.identity} are called {name!r}: give the suffix too"
+            f"{len(places)} training frames of {model.identity} are called {name!r}; expected one. Give the suffix too"
         )
     return np.array(model.training.values[places[0]], np.float64), names[places[0]]
 
@@ -221,9 +244,9 @@ def _apart(
 def _lips_apart(
     source: MorphModel, target: MorphModel, from_source: LoadingTable, from_target: LoadingVector
 ) -> AnyArray | None:
-    """Give how far the lips of faces (n, k_A) of the source lie from those of one of the target (k_B,): (n,).
+    """Measure the distances (n,) between the lips of n faces (n, k_A) of the source and one face (k_B,) of the target.
 
-    Root mean square over the lips after the affine, in the target's eye distances.
+    Root mean square over the lips after the affine, in eye distances of the target.
     """
     affine = affine_between_models(source, target)
     here, there = _lips(source, from_source), _lips(target, from_target[None])
@@ -235,7 +258,7 @@ def _lips_apart(
 
 
 def _lips(model: MorphModel, loadings: LoadingTable) -> AnyArray | None:
-    """Give the mesh points of the lips in faces (n, k) of the model, (n, 40, 2) px: the mean's, moved by the warp."""
+    """Return the mesh points (n, 40, 2) px of the lips in n faces (n, k): the mean's, moved by the warp."""
     points = landmarks_of(model)
     if points is None:
         return None

@@ -1,8 +1,8 @@
-"""The most probable face of the target for what a face of the source asks (ours; methods 5, step 4).
+"""The most probable face of the target, given an offset of the source (ours).
 
-The paper's inner products count every pixel alike. Here the target is read as probabilistic PCA (`linear.posterior`):
-what lies outside the source's face asks for nothing, lids, brows and lips may count more than cheeks, and another
-person's face is expected to differ from whatever the target can show.
+The paper's inner products weigh every pixel alike. Here the target is a probabilistic PCA model (`linear.posterior`).
+Pixels outside the source's face have no weight, lids, brows and lips may have more than cheeks, and the noise
+includes the difference between two people.
 """
 
 from __future__ import annotations
@@ -16,40 +16,45 @@ from morphspace.model.keypoints import landmarks_of, required_faceframe
 from morphspace.model.model import MorphModel, inner_product
 from morphspace.transfer.projection import Projection
 
-# Times the noise of a model of its own person: another person's face differs from the target's by more than what the
-# target's components leave out of its own frames. 20 to 5000 gave like faces.
+# Times the noise variance of the target's own frames: another person's face differs by more than what the components
+# leave out. 20 to 5000 gave similar faces.
 MISMATCH = 5000.0
 FEATURES = (*RIGHT_LIDS, *LEFT_LIDS, *RIGHT_BROW, *LEFT_BROW, *LIPS)
-FEATURE_WEIGHT = 30.0  # of a point on them, beside skin's 1; 20 to 100 gave like faces
-FEATURE_REACH = 0.06  # sd, of the eye distance
-KNEE = 4.0  # how sharply the bound sets in: at a third of it a loading keeps .997 of its length
+FEATURE_WEIGHT = 30.0  # of a feature point, where skin has 1; 20 to 100 gave similar faces
+FEATURE_REACH = 0.06  # eye distances, SD of the bell around a point
+KNEE = 4.0  # exponent; at a third of the bound a loading keeps .997 of its length
 
 
 def posterior_of(
     projection: Projection, importance: Mask | float = 1.0, observations: Observations | None = None
 ) -> Posterior:
-    """Give the posterior of the target's loadings for an offset that was carried to its mean face.
+    """Prepare the posterior of the target's loadings, given an offset on its mean face.
 
     Parameters
     ----------
     projection : Projection
-        The pair of models. Only what both masks hold counts.
-    importance : (h, w), optional
-        How much each point of the target's mean face counts, as `feature_weights` gives it.
+        The pair of models. Only pixels inside both masks have weight.
+    importance : array (h, w), optional
+        Weight of each point of the target's mean face (`feature_weights`).
     observations : Observations, optional
-        What is known besides, as `guided.landmark_guide` gives it.
+        Further observations (`guided.landmark_guide`).
+
+    References
+    ----------
+    Tipping and Bishop, Probabilistic principal component analysis, J. R. Statist. Soc. B 61 (1999); the weights are
+    ours.
     """
     target = projection.target
-    seen = projection.seen * importance
-    weight = inner_product(seen, 1.0) * target.basis.weight
+    common = projection.source_mask * importance
+    weight = inner_product(common, 1.0) * target.basis.weight
     return Posterior(target.basis, weight, MISMATCH, observations)
 
 
 def feature_weights(model: MorphModel) -> Mask:
-    """Give how much each point of the mean face says about an expression, (h, w).
+    """Compute the weight (h, w) of each point of the mean face for expressions.
 
-    Skin counts 1; points near lids, brows and lips count more. All count 1 where the model does not know where those
-    are (`keypoints.landmarks_of`).
+    Skin has 1, points near lids, brows and lips up to 1 + `FEATURE_WEIGHT`. All points have 1 if the model has no
+    mesh points (`keypoints.landmarks_of`).
     """
     height, width = model.mask.shape
     near = np.zeros((height, width), np.float32)
@@ -66,5 +71,12 @@ def feature_weights(model: MorphModel) -> Mask:
 
 
 def bounded(loadings_sd: AnyArray, max_sd: float) -> AnyArray:
-    """Give loadings (..., k) in SD drawn smoothly inside `max_sd`, each component by itself, its sign kept."""
+    """Bound loadings (..., k) in SD smoothly by `max_sd`, each by itself; signs do not change.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> bounded(np.array([0.0, 1.0, -30.0]), 3.0).round(2).tolist()
+    [0.0, 1.0, -3.0]
+    """
     return loadings_sd / (1 + np.abs(loadings_sd / max_sd) ** KNEE) ** (1 / KNEE)

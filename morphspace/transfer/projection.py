@@ -36,28 +36,32 @@ from morphspace.model.morph import Morph, MorphOffset
 class Projection:
     """The projection of faces of `source`, person A, into the expression space of `target`, person B.
 
+    Attributes
+    ----------
+    source, target : MorphModel
+
     Raises
     ------
     BadInput
-        On first use, where a model has no keypoints, or three that span no face.
+        On first use, if a model has no keypoints, or its keypoints span no face.
     """
 
     source: MorphModel
     target: MorphModel
 
     def mimicry(self, face: Morph) -> Morph:
-        """Give the face of B, M_b, that shows the expression of a face of A, M_a."""
+        """Compute the face of B, M_b, with the expression of a face of A, M_a."""
         relative = face - self.source.mean
         loadings = self.loadings(self.carried(relative))
         return self.target.mean + self.target.offset(loadings)
 
     @cached_property
     def affine(self) -> Affine:
-        """G (2, 3): takes points of A's mean face to B's, faceframe on faceframe."""
+        """G (2, 3): moves points of A's mean face to B's, so that the faceframes coincide."""
         return affine_between_models(self.source, self.target)
 
     def carried(self, relative: MorphOffset) -> MorphOffset:
-        """Give G R_a, on the grid of B's mean face; 0 outside A's picture, where nothing is known to differ."""
+        """Compute G R_a on the grid of B's mean face; 0 outside A's picture."""
         linear = self.affine[:, :2].astype(np.float32)
         right, down = (self._on_target(relative.displacement[..., axis]) for axis in (0, 1))
         displacement = np.empty((*right.shape, 2), np.float32)
@@ -67,7 +71,7 @@ class Projection:
         return MorphOffset.of(texture, displacement, self.target.mean.reference_id)
 
     def loadings(self, relative: MorphOffset) -> LoadingVector:
-        """Give L_b (k_B,) of an offset on B's mean face."""
+        """Compute L_b (k_B,) of an offset on B's mean face."""
         return self._components.with_offset(relative.vector)
 
     @cached_property
@@ -76,18 +80,18 @@ class Projection:
         return self.target.basis.inner_products()
 
     @cached_property
-    def seen(self) -> Mask:
-        """A's mask on B's mean face (h, w): where A has something to say."""
+    def source_mask(self) -> Mask:
+        """A's mask (h, w) on B's mean face."""
         return self._on_target(self.source.mask)
 
     @cached_property
     def _places(self) -> tuple[AnyArray, AnyArray]:
-        """Where each pixel of B's mean face lies on A's: x and y px, (h, w) each."""
+        """The position on A's mean face of each pixel of B's: x and y px, (h, w) each."""
         back = warp.inverse_affine(self.affine)
         return warp.positions(warp.affine_displacement(back, *self.target.mask.shape))
 
     def _on_target(self, planes: AnyArray) -> AnyArray:
-        """Read a plane (H, W) or a texture (H, W, 3) of A for each pixel of B, 0 outside."""
+        """Sample a plane (H, W) or a texture (H, W, 3) of A at each pixel of B; 0 outside."""
         x, y = self._places
         outside = {"borderMode": cv2.BORDER_CONSTANT, "borderValue": 0}
         return cv2.remap(np.ascontiguousarray(planes), x, y, cv2.INTER_LINEAR, **outside)

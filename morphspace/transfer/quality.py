@@ -1,8 +1,8 @@
-"""The quality of a mimicry: what became of a face on its way, and how far the target follows (methods 5).
+"""The quality of a mimicry: what a face kept of the requested expression, and how far the target follows (ours).
 
-Shares of energy say little between people. Skin and light differ, so that most of the carried change of colour is
-nothing the target could show; and a small share of a large motion may be a closed mouth that should stand open. So the
-motion is looked at where expressions are read, in units of the face, and of the colours only whether they change alike.
+Shares of energy say little between people. Skin and light differ, so that the target can show only a small part of
+the carried change of colour. And a small share of a large motion may be a closed mouth that should be open. So motion
+is measured where expressions are seen, in units of the face, and of colours only the direction of change.
 """
 
 from __future__ import annotations
@@ -23,19 +23,27 @@ from morphspace.transfer.neutral import MEAN, Neutral, neutral_of
 from morphspace.transfer.probable import FEATURE_WEIGHT, feature_weights
 from morphspace.transfer.projection import Projection
 
-NEAR = 0.3  # of a feature point's weight; with it some 5 % of a face's pixels lie on lids, brows and lips
-INSIDE = 0.5  # of both masks
-WORST = 0.95  # quantile over those pixels: a corner of the mouth counts, a single pixel does not
+NEAR = 0.3  # of a feature point's weight; about 5 % of a face's pixels are nearer to lids, brows and lips
+INSIDE = 0.5  # product of both masks, from which a pixel counts as inside
+WORST = 0.95  # quantile over those pixels; includes a mouth corner, excludes single pixels
 
 
 @dataclass(frozen=True, eq=False)
 class Quality:
-    """What became of one face on its way (methods 5).
+    """What a face kept of the requested expression.
 
-    `texture_kept` and `warp_kept`: shares of the carried offset's energy that the target's components can show;
-    `length_sd`: root mean square of the loadings in SD; `largest_sd`: the largest of them before it was bounded;
-    `bounded`: how many components the bound shortened by more than a tenth; `folds`: share of cells inside the mask
-    that the face turns over.
+    Attributes
+    ----------
+    texture_kept, warp_kept : float
+        Share of the carried offset's energy that the target's components show.
+    length_sd : float
+        Root mean square of the loadings, in SD.
+    largest_sd : float
+        The largest loading before the bound, in SD.
+    bounded : int
+        Components that the bound shortened by more than a tenth.
+    folds : float
+        Share of folded cells inside the mask.
     """
 
     texture_kept: float
@@ -54,17 +62,17 @@ def quality_of(
     loadings: LoadingVector,
     morph: Morph,
 ) -> Quality:
-    """Judge a face of the target.
+    """Measure the quality of a face of the target.
 
     Parameters
     ----------
     target : MorphModel
     carried, shown : MorphOffset
-        What was asked for on the target's mean face, and what the target's components show of it.
-    asked, loadings : (k,)
-        The loadings before and after the bound.
+        The requested offset on the target's mean face, and what the target's components show of it.
+    asked, loadings : array (k,)
+        The raw loadings before and after the bound.
     morph : Morph
-        The face that was made.
+        The finished face.
     """
     missing = carried - shown
     kept = []
@@ -88,14 +96,19 @@ def _energy(weight: AnyArray, values: AnyArray) -> float:
 
 @dataclass(frozen=True, eq=False)
 class Reach:
-    """How far the target follows one face, and how far beyond what it has shown it was asked.
+    """How far the target follows one face, and how far the request exceeds its training faces.
 
-    `missing_motion`: what its loadings leave of the motion asked for at lids, brows and lips, 95th percentile, in eye
-    distances of the target; over the whole face where the target does not know where those are. `colour_agreement`:
-    correlation, without taking means, of the change of colour asked for with the one shown, inside both masks; 0 where
-    one of them changes nothing. `opening_beyond`: how much wider the lips are asked to stand open than in any training
-    face of the target, mean over the inner lips, in its eye distances, below 0 where they are not; None where a model
-    does not know its landmarks.
+    Attributes
+    ----------
+    missing_motion : float
+        Requested motion at lids, brows and lips that the loadings do not show: 95th percentile, in eye distances of
+        the
+        target. It covers the whole face if the model has no mesh points.
+    colour_agreement : float
+        Uncentred correlation of the requested and the shown change of colour, inside both masks; 0 if one is zero.
+    opening_beyond : float or None
+        Requested lip opening minus the widest of the target's training faces, mean over the inner lips, in its eye
+        distances. None if a model has no landmark regression.
     """
 
     missing_motion: float
@@ -104,24 +117,34 @@ class Reach:
 
 
 class ReachOf(Protocol):
-    """Judges what a difference from the source's mean became."""
+    """A function that measures the reach of a face."""
 
     def __call__(
         self, offset: MorphOffset, made: Morph, made_loadings: LoadingVector, loadings: LoadingVector
     ) -> Reach:
-        """Give the reach of the face `made` (its loadings (k_B,)) for an offset of the source (its loadings (k_A,))."""
+        """Measure the face `made`, of loadings (k_B,), for an offset of the source, of loadings (k_A,)."""
 
 
 def reach_of(source: MorphModel, target: MorphModel, gain: float, neutral: Neutral | None = None) -> ReachOf:
-    """Prepare a pair of models; give the function that judges each face (ours).
+    """Prepare a pair of models; return the function that measures each face (ours).
 
-    `gain` multiplies what is asked for; `neutral` are the neutral faces of both, None for the means. Raises as
-    `Projection`.
+    Parameters
+    ----------
+    source, target : MorphModel
+    gain : float
+        Multiplies the request.
+    neutral : Neutral, optional
+        The neutral faces of both; None for the means.
+
+    Raises
+    ------
+    BadInput
+        If the models cannot be linked.
     """
     projection = Projection(source, target)
     neutral = neutral or neutral_of(source, target, MEAN)
     source_neutral, target_neutral = neutral.offsets(source, target)
-    inside = projection.seen * target.mask > INSIDE
+    inside = projection.source_mask * target.mask > INSIDE
     places = np.flatnonzero(_features(target) & inside.reshape(-1))
     skin = inside[..., None].astype(np.float32)
     right, left, _ = required_faceframe(target).points
@@ -130,10 +153,10 @@ def reach_of(source: MorphModel, target: MorphModel, gain: float, neutral: Neutr
     components = np.take(fields, places, axis=1).reshape(target.rank, -1)
     openings = openings_of(source, target, neutral)
     start = np.zeros((len(places), 2), np.float32)
-    coloured = np.zeros_like(target.mean.texture)
+    neutral_texture = np.zeros_like(target.mean.texture)
     if target_neutral is not None:
         start = target_neutral.displacement.reshape(-1, 2)[places]
-        coloured = target_neutral.texture
+        neutral_texture = target_neutral.texture
 
     def reach(
         offset: MorphOffset, made: Morph, made_loadings: LoadingVector, loadings: LoadingVector
@@ -145,7 +168,7 @@ def reach_of(source: MorphModel, target: MorphModel, gain: float, neutral: Neutr
         lengths = np.hypot(missing[:, 0], missing[:, 1])
         return Reach(
             float(np.quantile(lengths, WORST)) / eyes_px if len(lengths) else 0.0,
-            _agreement(skin * asked.texture, skin * (made.texture - target.mean.texture - coloured)),
+            _agreement(skin * asked.texture, skin * (made.texture - target.mean.texture - neutral_texture)),
             None if openings is None else openings.beyond(loadings, gain),
         )
 
@@ -154,10 +177,16 @@ def reach_of(source: MorphModel, target: MorphModel, gain: float, neutral: Neutr
 
 @dataclass(frozen=True, eq=False)
 class Openings:
-    """How far the lips stand open, from the landmark regressions of both models, in eye distances of the target.
+    """Lip opening as a function of the loadings of both models, in eye distances of the target, relative to the means.
 
-    `asked` (k_A,) per loading of the source, after the affine | `source_neutral`, `target_neutral` of the neutral
-    faces | `most`, the widest of the target's training faces. All relative to the means.
+    Attributes
+    ----------
+    asked : array (k_A,)
+        Per loading of the source, after the affine.
+    source_neutral, target_neutral : float
+        Of the neutral faces.
+    most : float
+        The widest of the target's training faces.
     """
 
     asked: AnyArray
@@ -166,13 +195,13 @@ class Openings:
     most: float
 
     def beyond(self, loadings: LoadingVector, gain: float) -> float:
-        """Give how much wider than `most` a face of the source, of loadings (k_A,), asks the lips to open."""
+        """Compute how far the opening requested by a face of the source, of loadings (k_A,), exceeds `most`."""
         wanted = gain * (float(loadings @ self.asked) - self.source_neutral)
         return wanted + self.target_neutral - self.most
 
 
 def openings_of(source: MorphModel, target: MorphModel, neutral: Neutral) -> Openings | None:
-    """Prepare what tells how far the lips open; None where a model does not know its landmarks."""
+    """Prepare the lip openings of a pair; None if a model has no landmark regression."""
     if source.landmarks is None or target.landmarks is None:
         return None
     right, left, lip = required_faceframe(target).points
@@ -187,13 +216,13 @@ def openings_of(source: MorphModel, target: MorphModel, neutral: Neutral) -> Ope
 
 
 def _features(target: MorphModel) -> AnyArray:
-    """Give which pixels lie near lids, brows and lips, (h w,); all where the model does not know."""
+    """Return which pixels (h w,) lie near lids, brows and lips; all if the model has no mesh points."""
     near = (feature_weights(target) - 1).reshape(-1) / FEATURE_WEIGHT > NEAR
     return near if near.any() else np.ones_like(near)
 
 
 def _agreement(one: AnyArray, other: AnyArray) -> float:
-    """Give the correlation of two changes of colour (h, w, 3), without taking means."""
+    """Compute the uncentred correlation of two changes of colour (h, w, 3)."""
     one, other = one.reshape(-1), other.reshape(-1)
     lengths = float(np.sqrt(np.dot(one, one))) * float(np.sqrt(np.dot(other, other)))
     return float(np.clip(np.dot(one, other) / lengths, -1, 1)) if lengths > 0 else 0.0

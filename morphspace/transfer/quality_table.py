@@ -1,6 +1,6 @@
-"""The table of what became of each frame that was mimicked: quality.csv, and quality.json that describes it.
+"""The quality table of a mimicry: quality.csv with one row a frame, and quality.json that describes it.
 
-What a person should look at has a word in the column `flags`. The layout is `data_spec/mimicry.md`.
+The column `flags` names what a person should inspect. The layout is `data_spec/mimicry.md`.
 """
 
 from __future__ import annotations
@@ -18,63 +18,65 @@ from morphspace.transfer.quality import Quality, Reach
 
 FORMAT = "morphspace-mimicry"
 VERSION = 1
-# Missing motion at the features, in eye distances. Five pairs of people, 360 frames: one of a hundred above it. A
-# target that holds one single smile, asked for the frames of a face that opens its mouth wide: three of four above it.
+# Eye distances of missing motion at the features. In five pairs of people, 1 % of 360 frames are above it. With a
+# target of a single smile and a source that opens its mouth wide, three in four are.
 OUT_OF_RANGE = 0.10
-# Opening asked for beyond the widest ever shown, in eye distances. Six pairs, 432 frames: 29 above it, 14 of them of
-# the 72 that are asked of a person who shows one single smile, none of those that ask for speech.
+# Eye distances of requested opening beyond the widest training face. In six pairs, 29 of 432 frames are above it: 14 of
+# the 72 whose target shows a single smile, none of those of speech.
 WIDER = 0.03
-FOLDED = 0.005  # of the cells inside the mask; a good result stays below
+FOLDED = 0.005  # share of cells inside the mask; good results are below it
 FLAGS = NO_FACE, TURNED, BEYOND, FOLDS = "no-face", "turned", "out-of-range", "folds"
 
 COLUMNS: dict[str, tuple[str, str]] = {
     "frame": ("", "the driving frame; its picture is frames/NAME.png"),
     "texture_kept": (
         "share",
-        "energy of the carried change of colour that the face shows: 1 - |asked - shown|^2 / |asked|^2; below 0 where "
-        "what is shown differs from what was asked by more than showing nothing would, which is usual between people, "
-        "whose skin and light differ: read colour_agreement instead",
+        "energy of the requested change of colour that the face shows: 1 - |asked - shown|^2 / |asked|^2; usually "
+        "below 0 between people, whose skin and light differ: use colour_agreement instead",
     ),
-    "warp_kept": ("share", "energy of the carried motion that the face shows, likewise; over the whole face"),
+    "warp_kept": (
+        "share",
+        "energy of the requested motion that the face shows, by the same formula, over the whole face",
+    ),
     "length_sd": ("SD", "Mahalanobis length of the loadings, root mean square over components"),
-    "largest_sd": ("SD", "the largest loading as it was asked for, before the bound"),
-    "bounded": ("components", "how many the bound shortened by more than a tenth"),
-    "folds": ("share", "cells inside the mask that the face turns over"),
+    "largest_sd": ("SD", "the largest loading before the bound"),
+    "bounded": ("components", "components that the bound shortened by more than a tenth"),
+    "folds": ("share", "folded cells inside the mask"),
     "missing_motion": (
         "eye distance",
-        "what the loadings leave of the motion asked for at lids, brows and lips, 95th percentile; over the whole face "
-        "where the target does not know where those are",
+        "requested motion at lids, brows and lips that the loadings do not show, 95th percentile; over the whole face "
+        "if the target has no mesh points",
     ),
     "colour_agreement": (
         "correlation",
-        "of the change of colour asked for with the one shown, means not taken off, inside both masks: 1 the same, 0 "
-        "unrelated; some 0 to .4 between people",
+        "uncentred, of the requested and the shown change of colour inside both masks: 1 is equal, 0 unrelated; about "
+        "0 to .4 between people",
     ),
     "opening_beyond": (
         "eye distance",
-        "how much wider the lips are asked to open than in any training face of the target, mean over the inner lips; "
-        "below 0 where they are not; empty where a model does not know its landmarks",
+        "requested lip opening minus the widest of the target's training faces, mean over the inner lips; empty if a "
+        "model has no landmark regression",
     ),
     "outside_source": (
         "variances",
-        "energy of the driving frame that the source's components cannot show, in variances of the source's training "
-        f"faces: some 0.2 of frames of the same recording, above {STRANGE:g} of another person, day or camera; empty "
-        "where training frames drive",
+        "energy of the driving frame outside the source's components, in variances of the source's training faces: "
+        f"about 0.2 for frames of the same recording, above {STRANGE:g} for another person, day or camera; empty if "
+        "training frames drive",
     ),
     "yaw_deg": (
         "degree",
-        "turn of the driving head, positive towards the picture's right; empty where not measured",
+        "turn of the driving head, positive towards the picture's right; empty if not measured",
     ),
-    "pitch_deg": ("degree", "turn of the driving head upwards; empty where not measured"),
+    "pitch_deg": ("degree", "turn of the driving head upwards; empty if not measured"),
     "flags": (
         "",
-        f"words with blanks between: {NO_FACE} none was found in the driving frame; {TURNED} by more than 20 degrees; "
-        f"{BEYOND} missing_motion is above {OUT_OF_RANGE:g} or opening_beyond above {WIDER:g}; {FOLDS} more than "
-        f"{FOLDED:.1%}",
+        f"words with blanks between: {NO_FACE}, no face was found in the driving frame; {TURNED}, by more than 20 "
+        f"degrees; {BEYOND}, missing_motion is above {OUT_OF_RANGE:g} or opening_beyond above {WIDER:g}; {FOLDS}, "
+        f"more than {FOLDED:.1%} of the cells",
     ),
 }
-"""Each column of the table: its unit and what it means."""
-# Of each number in the file. Another flow or another machine moves shares and correlations in the third decimal.
+"""Unit and meaning of each column."""
+# Of each column. Another flow method or machine changes shares and correlations in the third decimal.
 DECIMALS = {
     "texture_kept": 4,
     "warp_kept": 4,
@@ -92,7 +94,7 @@ DECIMALS = {
 
 @dataclass(frozen=True)
 class FaceSeen:
-    """What the detector saw in a driving frame: whether a face was `found`, and its turn in degrees."""
+    """The detection in a driving frame: whether a face was `found`, and its turn in degrees."""
 
     found: bool
     is_turned: bool = False
@@ -102,9 +104,22 @@ class FaceSeen:
 
 @dataclass(frozen=True)
 class FrameMade:
-    """One finished frame: `loadings` (k,), its quality and reach, what was seen in the driving frame, how much of that
-    the source's model cannot show (`encoding.energy_outside`), how many values were clipped, and the SHA-256 of its
-    picture.
+    """One finished frame.
+
+    Attributes
+    ----------
+    loadings : tuple of k float
+        Raw loadings of the target.
+    quality : Quality
+    reach : Reach
+    face : FaceSeen or None
+        The detection in the driving frame; None without a detector.
+    outside_source : float or None
+        Energy of the driving frame outside the source's model (`encode.energy_outside`).
+    clipped : int
+        Values of the picture that were clipped to [0, 1].
+    sha256 : str
+        Of the picture file.
     """
 
     loadings: tuple[float, ...]
@@ -117,24 +132,24 @@ class FrameMade:
 
     @property
     def flags(self) -> tuple[str, ...]:
-        """The words a person should read about it, by the figures as the table has them."""
+        """The words of column `flags`, decided on the rounded figures of the table."""
         wider = self.reach.opening_beyond
-        told = {
+        conditions = {
             NO_FACE: self.face is not None and not self.face.found,
             TURNED: self.face is not None and self.face.is_turned,
             BEYOND: rounded("missing_motion", self.reach.missing_motion) > OUT_OF_RANGE
             or (wider is not None and rounded("opening_beyond", wider) > WIDER),
             FOLDS: rounded("folds", self.quality.folds) > FOLDED,
         }
-        return tuple(word for word, holds in told.items() if holds)
+        return tuple(word for word, holds in conditions.items() if holds)
 
     def document(self) -> dict[str, Any]:
-        """Give it as JSON; `made_of` is the inverse."""
+        """Return the frame as JSON; `made_of` is the inverse."""
         return asdict(self)
 
 
 def made_of(document: Mapping[str, Any]) -> FrameMade:
-    """Read a finished frame back from its JSON, bit-equal."""
+    """Restore a finished frame from its JSON, bit-equal."""
     face = document["face"]
     return FrameMade(
         tuple(map(float, document["loadings"])),
@@ -148,7 +163,7 @@ def made_of(document: Mapping[str, Any]) -> FrameMade:
 
 
 def quality_columns(names: Sequence[str], made: Sequence[FrameMade]) -> dict[str, list[Any]]:
-    """Give the table's columns by name, in order, each figure to as many decimals as it is good for."""
+    """Return the table's columns by name, in order, each figure rounded to `DECIMALS`."""
     table: dict[str, list[Any]] = {"frame": list(names)}
     for entry in fields(Quality):
         table[entry.name] = [getattr(one.quality, entry.name) for one in made]
@@ -164,14 +179,14 @@ def quality_columns(names: Sequence[str], made: Sequence[FrameMade]) -> dict[str
 
 
 def rounded(name: str, value: float) -> float:
-    """Give a figure of a column as the table has it."""
+    """Round a figure to the decimals of its column."""
     return round(float(value), DECIMALS[name])
 
 
 def write_quality(
-    folder: Path, columns: Mapping[str, Sequence[Any]], told: Mapping[str, Any]
+    folder: Path, columns: Mapping[str, Sequence[Any]], about: Mapping[str, Any]
 ) -> tuple[Path, Path]:
-    """Write quality.csv, and quality.json that describes its columns and holds what was `told`."""
+    """Write quality.csv, and quality.json with its columns' meanings and the entries of `about`."""
     table, beside = folder / "quality.csv", folder / "quality.json"
     write_metrics_table(table, columns)
     document = {
@@ -182,7 +197,7 @@ def write_quality(
             for name, (unit, meaning) in COLUMNS.items()
             if name in columns
         },
-        **told,
+        **about,
         "versions": versions(),
     }
     write_text(beside, json_text(document))
