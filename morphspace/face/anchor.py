@@ -1,9 +1,14 @@
-"""Flow and registration held to the points of the face (ours; methods 5.7 of the design).
+"""Anchor flow and registration to the points of the face (ours).
 
-Dense flow alone may find an opening mouth by painting dark where there were lips, and another clip's flow by moving the
-lips: then one model says in colour what the other says in warp, and neither can drive the other. So the thin-plate
-spline through the points of the face is taken out of the frame first, and the flow finds the rest. Lips stay on lips,
-lids on lids, in every model alike. Registration likewise may start from where the points say the skull went.
+Dense flow alone may match an opening mouth by a change of colour in one clip and by movement of the lips in another.
+One model then expresses as colour what the other expresses as warp, and neither can drive the other. So the
+thin-plate spline through the face points is removed from the frame first, and the flow estimates the remainder. Lips
+then match lips, and lids match lids, in every model. Registration may start from the movement of the points on the
+skull.
+
+References
+----------
+Bookstein, Principal warps: thin-plate splines and the decomposition of deformations, IEEE PAMI 11 (1989).
 """
 
 from __future__ import annotations
@@ -35,43 +40,43 @@ from morphspace.flow import Flow, FlowFunction
 from morphspace.flow.folds import unfolded
 from morphspace.grid import warp
 
-# Between the rings, so that the spline has something to hold there.
+# Mesh points between the rings of lids, lips and outline.
 CHEEKS_AND_CHIN = (50, 280, 205, 425, 199, 200)
-# Lids, brows, lips, rim and nose: what moves, and what must not. The mesh between them only follows its neighbours.
+# Mesh points of the spline: lids, brows, lips, outline and nose. The mesh between them follows its neighbours.
 HELD = tuple(
     sorted(
         {*RIGHT_LIDS, *LEFT_LIDS, *RIGHT_BROW, *LEFT_BROW, *LIPS, *FACE_OUTLINE, *RIGID_POINTS, PHILTRUM}
         | set(CHEEKS_AND_CHIN)
     )
 )
-# Between the points where the spline is evaluated, with cubics between them: to a few hundredths of a px.
+# Spacing of the points at which the spline is evaluated; cubics between them are exact to a few hundredths of a px.
 STEP_PX, STEP_SHARE = (
     2.0,
     1 / 120,
-)  # px, or this share of the longer side where that is more: faces grow with pictures
-MARGIN = 4  # such points beyond each edge, where the interpolation's end effects die away
-ONE_PLACE_PX = 1.0  # points nearer than this in the reference are one: closed lips lie on each other
+)  # px, or share of the longer side; the larger counts
+MARGIN = 4  # such points beyond each edge, for the end effects of the interpolation
+ONE_PLACE_PX = 1.0  # px; nearer points are merged, such as those of closed lips
 
 
 @dataclass(frozen=True, eq=False)
 class FaceAnchor:
-    """What holds frames to the face of the reference: the `detector`, and the `face` it found there."""
+    """The face to which frames are anchored: the `detector`, and the `face` that it found in the reference."""
 
     detector: Detector
     face: FacePoints
 
     def movement(self, image: Image, found: FacePoints | None = None) -> Affine | None:
-        """Give where the registration of an image may start, (2, 3); None where no face is found in it.
+        """Compute the start of an image's registration, (2, 3), or None if the image shows no face.
 
-        `found` is what `detector` found in it, looked for where None.
+        `found` is the face in the image, if it has been detected already.
         """
         found = found or self.detector(image)
         return None if found is None else rigid_movement(self.face, found)
 
     def anchored(self, find: FlowFunction, height: int, width: int) -> FlowFunction:
-        """Give the flow function that takes the spline out of a frame first, and lets `find` do the rest.
+        """Return a flow function that removes the spline from a frame; `find` estimates the remainder.
 
-        A frame in which no face is found, and one that comes with a start of its own, go to `find` as they are.
+        A frame without a detected face, or with a start of its own, goes to `find` unchanged.
         """
         through = spline_from(self.face.points[list(HELD)], height, width)
 
@@ -79,7 +84,7 @@ class FaceAnchor:
             found = self.detector(frame) if start is None else None
             if found is None:
                 return find(frame, start)
-            spline = unfolded(through(found.points[list(HELD)]))  # a turned head's points may change sides
+            spline = unfolded(through(found.points[list(HELD)]))  # points of a turned head may change sides
             rest = find(warp.sample(frame, spline), None)
             return Flow(unfolded(warp.compose(spline, rest.displacement)), rest.confidence)
 
@@ -87,61 +92,85 @@ class FaceAnchor:
 
     @cached_property
     def identity(self) -> list[Any]:
-        """What the anchor's results depend on, as JSON."""
+        """All that the anchored flow depends on, as JSON."""
         return [dict(self.detector.identity), [[float(x), float(y)] for x, y in self.face.points]]
 
 
 def rigid_movement(reference: FacePoints, frame: FacePoints) -> Affine:
-    """Give the similarity (2, 3) that takes the skull's points of the reference to the frame's, robustly."""
+    """Fit the similarity (2, 3) from the skull's points in the reference to those in the frame, robustly."""
     rigid = list(RIGID_POINTS)
     return fitted_similarity(reference.points[rigid], frame.points[rigid])
 
 
 def anchor_on(reference: Image, detector: Detector) -> FaceAnchor | None:
-    """Give the anchor of a reference (h, w, 3); None where no face is found in it."""
+    """Detect the face in a reference (h, w, 3); return its anchor, or None without a face."""
     face = detector(reference)
     return None if face is None else FaceAnchor(detector, face)
 
 
 def anchor_of_build(reference: Image, provenance: Mapping[str, Any]) -> FaceAnchor | None:
-    """Find again the face that a model's build found in its reference (h, w, 3).
+    """Detect again the face that a model's build found in its reference (h, w, 3).
 
-    It starts the registration of every frame, and holds the flow where `was_anchored`.
+    It starts the registration of every frame, and anchors the flow if `was_anchored`.
 
     Returns
     -------
-    The face and the detector; None for a model that was built without them.
+    FaceAnchor or None
+        None for a model that was built without face points.
 
     Raises
     ------
     MissingModels
-        The build found a face, and the detector's networks are missing.
+        If the build found a face, and the detector's networks are not installed.
     BadInput
-        The detector finds no face where the build found one.
+        If the detector finds no face where the build found one.
     """
-    told = provenance.get("landmarks")
-    if not (isinstance(told, Mapping) and told.get("reference_has_face")):
+    entry = provenance.get("landmarks")
+    if not (isinstance(entry, Mapping) and entry.get("reference_has_face")):
         return None
     anchor = anchor_on(np.array(reference), load_detector())
     if anchor is None:
         raise BadInput(
-            "the detector finds no face in the reference, where the build found one: build the model again with this "
+            "the detector finds no face in the reference, where the build found one. Build the model again with this "
             "morphspace"
         )
     return anchor
 
 
 def was_anchored(provenance: Mapping[str, Any]) -> bool:
-    """Tell whether a model's build held its frames to the points of the face."""
-    told = provenance.get("landmarks")
-    return isinstance(told, Mapping) and bool(told.get("anchored"))
+    """Return whether a model's build anchored its flow to the face points."""
+    entry = provenance.get("landmarks")
+    return isinstance(entry, Mapping) and bool(entry.get("anchored"))
 
 
 def spline_from(places: Points, height: int, width: int) -> Callable[[Points], Displacement]:
-    """Prepare the thin-plate splines from places (m, 2) px of a picture, and give the function from (m, 2) to a field.
+    """Prepare thin-plate splines from fixed places (m, 2) px of a picture.
 
-    What depends on the places alone, the kernel's solution at every grid point, is computed once; a field (h, w, 2) px
-    is then one product of matrices. Places at one point go to the mean of theirs. Bookstein, IEEE PAMI 11 (1989).
+    The solution at every grid point depends on the places alone and is computed once. A field is then one product of
+    matrices. Places nearer than `ONE_PLACE_PX` are merged into their mean.
+
+    Parameters
+    ----------
+    places : array (m, 2) px
+    height, width : int
+        Size of the field, px.
+
+    Returns
+    -------
+    function
+        Maps targets (m, 2) px to the displacement (h, w, 2) px that moves the places to them.
+
+    References
+    ----------
+    Bookstein, IEEE PAMI 11 (1989).
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> corners = np.array([[0.0, 0.0], [30.0, 0.0], [0.0, 30.0], [30.0, 30.0]])
+    >>> field = spline_from(corners, 31, 31)(corners + (2, 1))
+    >>> field.shape, (np.abs(field - (2, 1)) < 0.01).all().item()
+    ((31, 31, 2), True)
     """
     cells = np.round(places / ONE_PLACE_PX)
     _, cell, count = np.unique(cells, axis=0, return_inverse=True, return_counts=True)
@@ -156,7 +185,7 @@ def spline_from(places: Points, height: int, width: int) -> Callable[[Points], D
     nodes = (np.column_stack([x.ravel(), y.ravel()]) - centre) / unit
     flat = np.column_stack([np.ones(len(knots)), knots])
     system = np.block([[_bending(knots, knots), flat], [flat.T, np.zeros((3, 3))]])
-    # A pseudo-inverse: knots on one line leave the affine part across it open, and the smallest is meant.
+    # Knots on one line do not determine the affine part across it; the pseudo-inverse chooses the smallest.
     solution = np.linalg.pinv(system, rcond=1e-12, hermitian=True)[:, : len(knots)] @ together
     at_nodes = np.column_stack([_bending(nodes, knots), np.ones(len(nodes)), nodes]) @ solution
     operator = at_nodes.astype(np.float32)
@@ -171,7 +200,7 @@ def spline_from(places: Points, height: int, width: int) -> Callable[[Points], D
 
 
 def _bending(points: AnyArray, knots: AnyArray) -> AnyArray:
-    """Give r^2 log r between points (n, 2) and knots (m, 2): (n, m)."""
+    """Compute r^2 log r between points (n, 2) and knots (m, 2): (n, m)."""
     square = ((points[:, None] - knots) ** 2).sum(axis=2)
     out: AnyArray = 0.5 * square * np.log(np.where(square > 0, square, 1.0))
     return out

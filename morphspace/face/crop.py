@@ -1,7 +1,7 @@
-"""One crop for a whole clip, from where the face was found in some of its frames (ours).
+"""One crop for a whole clip, from the face's position in some of its frames (ours).
 
-A single box leaves the head's movement to registration, which measures it to a fraction of a pixel; a box that followed
-the face would put its own jitter in. The proportions are those of frames that were cropped to the head by hand.
+A single box leaves head movement to registration, which measures it to a fraction of a pixel. A box that followed the
+face would add its own jitter. The proportions are those of frames that were cropped to the head by hand.
 """
 
 from __future__ import annotations
@@ -18,15 +18,24 @@ from morphspace.face.mesh import FacePoints
 from morphspace.io.clips import Clip
 from morphspace.steps import Step, Steps, in_order, spread
 
-CROP_FRAMES = 24  # of a clip, evenly spread, in which the face is looked for to crop it
-# From the middle between the eyes, in eye distances. The crown lies 1.5 to 1.8 above, the chin 1.8 to 1.9 below.
+CROP_FRAMES = 24  # frames of a clip, evenly spread, in which the face is detected
+# Eye distances from the middle of the eyes. The crown is 1.5 to 1.8 above, the chin 1.8 to 1.9 below.
 ABOVE, BELOW, BESIDE = 1.95, 2.35, 1.75
-MOST_OF_PATH = (5, 95)  # percentiles of where the head was; a frame that found something else must not decide
+MOST_OF_PATH = (5, 95)  # percentiles of the head's position; one false detection must not decide
 
 
 @dataclass(frozen=True, eq=False)
 class FoundCrop:
-    """A crop: `box` (x, y, w, h) px | `eyes_px` the median eye distance | `frames` looked at, `found` with a face."""
+    """A crop around the head.
+
+    Attributes
+    ----------
+    box : (x, y, w, h) px
+    eyes_px : float
+        Median eye distance, px.
+    frames, found : int
+        Frames that were searched, and those with a face.
+    """
 
     box: tuple[int, int, int, int]
     eyes_px: float
@@ -35,36 +44,49 @@ class FoundCrop:
 
     @property
     def document(self) -> dict[str, Any]:
-        """What a model's provenance says of how the crop was found."""
+        """The entry of a model's provenance for the crop."""
         return {"frames": self.frames, "found": self.found, "eyes_px": round(self.eyes_px, 2)}
 
 
 def crop_steps(clip: Clip, detector: Detector, aspect: float) -> Steps[FoundCrop]:
-    """Find the face in a spread of frames and give one crop for all of them; a generator of steps.
+    """Detect the face in frames spread over a clip, and compute one crop for all; a generator of steps.
 
-    `aspect` is width over height. Raises `BadInput` where a face was found in less than half of them.
+    Parameters
+    ----------
+    clip : Clip
+    detector : Detector
+    aspect : float
+        Width over height of the crop.
+
+    Returns
+    -------
+    FoundCrop
+
+    Raises
+    ------
+    BadInput
+        If a face was found in fewer than half of the frames.
     """
-    looked = spread(len(clip), CROP_FRAMES)
+    searched = spread(len(clip), CROP_FRAMES)
     faces = []
-    for done, face in enumerate(in_order(detector, clip.images(looked)), 1):
+    for done, face in enumerate(in_order(detector, clip.images(searched)), 1):
         faces.append(face)
-        yield Step("crop", done, len(looked))
+        yield Step("crop", done, len(searched))
     found = [face for face in faces if face is not None]
-    if 2 * len(found) < len(looked):
+    if 2 * len(found) < len(searched):
         raise BadInput(
-            f"a face was found in {len(found)} of {len(looked)} frames of {clip.name}, too few to crop the clip: give "
-            "--crop x,y,w,h, or leave it out"
+            f"a face was found in {len(found)} of {len(searched)} frames of {clip.name}; expected at least half. Give "
+            "--crop x,y,w,h, or omit --crop"
         )
-    return FoundCrop(head_crop(found, clip.size, aspect), median_eyes_px(found), len(looked), len(found))
+    return FoundCrop(head_crop(found, clip.size, aspect), median_eyes_px(found), len(searched), len(found))
 
 
 def head_crop(
     faces: Sequence[FacePoints], picture: tuple[int, int], aspect: float
 ) -> tuple[int, int, int, int]:
-    """Give the box (x, y, w, h) px that holds the head in all faces, inside a picture of (w, h) px.
+    """Compute the box (x, y, w, h) px that contains the head in all faces, inside a picture of (w, h) px.
 
-    `aspect` is width over height. A box that would leave the picture is moved inside it, and made smaller where it is
-    larger than the picture.
+    `aspect` is width over height. A box beyond the picture's edge is moved inside, and reduced if it is too large.
     """
     eyes = median_eyes_px(faces)
     middles = np.array([face.faceframe().points[:2].mean(axis=0) for face in faces])
@@ -75,7 +97,7 @@ def head_crop(
     width, height = max(width, height * aspect), max(height, width / aspect)
     share = min(1.0, picture[0] / width, picture[1] / height)
     size = np.array([width, height]) * share
-    # Rounded down: a box must not be larger than the picture it lies in.
+    # At most the picture's side, since rounding may exceed it.
     w, h = (max(1, int(min(side, most))) for side, most in zip(np.round(size), picture, strict=True))
     middle = (low + high) / 2
     x, y = (
@@ -86,5 +108,5 @@ def head_crop(
 
 
 def median_eyes_px(faces: Sequence[FacePoints]) -> float:
-    """Give the median distance between the eyes, px; a head that turns shows it too short."""
+    """Compute the median distance between the eyes, px; a turned head shortens it."""
     return float(np.median([face.interocular_px for face in faces]))

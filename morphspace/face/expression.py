@@ -1,12 +1,11 @@
-"""Measures of expression from points of a face: how open mouth and lids are, how far a face is from rest (ours).
+"""Measures of expression from face points: mouth and lid opening, and distance from neutral (ours).
 
-Every measure of this package is here. Distances are of points in one picture; a face's own unit, the eye distance, is
-that between its eye centres. `mouth_opening` and `lid_opening` are lengths at the middle of a ring, where expression is
-read. `mean_gap` is the signed mean over a whole ring: it is linear in the points, so it can be taken of the weights of
-a regression.
+Lengths are divided by the distance between the eye centres. `mouth_opening` and `lid_opening` are lengths at the
+middle of a ring, where expressions change it most. `mean_gap` is the signed mean over a whole ring. It is linear in
+the points, so it applies to the weights of a regression as well.
 
-The paper asks for a neutral reference with the mouth slightly open (Nagle section 2). Models whose references agree in
-this say the same expression with the same warp, and can drive each other: `far_from_rest` finds such frames.
+Nagle et al. (section 2) ask for a neutral reference with a slightly open mouth. Models whose references agree in this
+express the same expression by the same warp, and can drive each other. `distance_from_neutral` finds such frames.
 """
 
 from __future__ import annotations
@@ -21,18 +20,28 @@ from morphspace.face.anchor import HELD, rigid_movement
 from morphspace.face.mesh import INNER_LIPS, LEFT_LIDS, MOUTH_CORNERS, RIGHT_LIDS, FacePoints
 from morphspace.grid import warp
 
-LID_PAIRS = 3  # in the middle of a lid ring; a single pair moves with the gaze
-# In eye distances. A mouth this open shows a little of the teeth and of the dark between them.
-SLIGHTLY_OPEN = 0.07  # between the lips' inner edges, in the middle
-OPEN_STEP, SHAPE_STEP = 0.04, 0.06  # that count as one step away from it, and from the clip's median face
+LID_PAIRS = 3  # pairs in the middle of a lid ring; a single pair moves with the gaze
+SLIGHTLY_OPEN = 0.07  # eye distances between the lips' inner edges; teeth and mouth cavity are just visible
+OPEN_STEP, SHAPE_STEP = (
+    0.04,
+    0.06,
+)  # eye distances of one step, from that opening and from the clip's median face
 LID_STEP = (
-    0.03  # by which the lids are nearer than is usual in the clip: a blink brings them 0.06 to 0.15 nearer
+    0.03  # eye distances of one step, lids closer than the clip's median; a blink closes them by 0.06 to 0.15
 )
 
 
 @dataclass(frozen=True)
 class Expression:
-    """Measures of one face in eye distances: `mouth_opening`, `mouth_width`, `lid_opening` (mean of both eyes)."""
+    """Measures of one face in eye distances.
+
+    Attributes
+    ----------
+    mouth_opening : float
+    mouth_width : float
+    lid_opening : float
+        Mean of both eyes.
+    """
 
     mouth_opening: float
     mouth_width: float
@@ -52,12 +61,12 @@ def expression_of(face: FacePoints) -> Expression:
 
 
 def mouth_opening(inner_lips: Points) -> float:
-    """Measure how far the lips' inner edges are apart in the middle, px, on the ring of inner lips (20, 2) px."""
+    """Measure the distance between the lips' inner edges in the middle, px, on the ring of inner lips (20, 2) px."""
     return _middle_gap(inner_lips, 1)
 
 
 def lid_opening(lids: Points) -> float:
-    """Measure how far the lids of one eye are apart in the middle, px, on its ring of lids (16, 2) px."""
+    """Measure the distance between the lids of one eye in the middle, px, on its ring of lids (16, 2) px."""
     return _middle_gap(lids, LID_PAIRS)
 
 
@@ -67,16 +76,24 @@ def mean_gap(rings: AnyArray) -> AnyArray:
 
 
 def ring_gaps(rings: AnyArray) -> AnyArray:
-    """Subtract the points of the side of a ring that comes first from those that face them on the other side.
+    """Subtract the first side of each ring from the opposite side, point by point.
 
     Parameters
     ----------
-    rings
-        (k, n, 2), rings of lids or lips from corner to corner and back.
+    rings : array (k, n, 2)
+        Lids or lips, from corner to corner and back.
 
     Returns
     -------
-    (k, n / 2 - 1, 2) without the corners. Of inner lips it is lower minus upper.
+    array (k, n / 2 - 1, 2)
+        Without the corners. For inner lips it is lower minus upper.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> ring = np.array([[0, 0], [1, -1], [2, -2], [3, 0], [2, 2], [1, 1]])
+    >>> ring_gaps(ring[None]).tolist()
+    [[[0, 2], [0, 4]]]
     """
     half = rings.shape[1] // 2
     return rings[:, :half:-1] - rings[:, 1:half]
@@ -88,11 +105,11 @@ def _middle_gap(ring: Points, pairs: int) -> float:
     return float(np.hypot(*gaps[first : first + pairs].T).mean())
 
 
-def far_from_rest(found: Sequence[FacePoints | None]) -> AnyArray:
-    """Measure how far each face is from a calm one with the lips slightly apart, (n,) in steps; inf without a face.
+def distance_from_neutral(found: Sequence[FacePoints | None]) -> AnyArray:
+    """Measure the distance (n,) in steps of each face from neutral with slightly parted lips; inf without a face.
 
-    Three things count: the mouth's gap against `SLIGHTLY_OPEN`, lids nearer to each other than in the median face, and
-    the points against the median face of all, root mean square after the head's movement is taken out.
+    The distance is the root of three summed squares, each in its own step: the mouth opening against `SLIGHTLY_OPEN`,
+    lids closer than in the median face, and the points against the median face, rms without head movement.
     """
     far = np.full(len(found), np.inf)
     seen = [index for index, face in enumerate(found) if face is not None]

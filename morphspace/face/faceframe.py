@@ -1,8 +1,8 @@
-"""The three points that place a face, and frames of it that are moved to the reference.
+"""The three points that locate a face, and frames aligned to the reference.
 
-Rigid head movement must not end up in the warp fields (Nagle section 2), so each frame is first moved by a similarity
-that was fitted on the rigid part of the face. The movement is kept with the frame, so that a rendered face can be put
-back where it came from.
+Rigid head movement must not enter the warp fields (Nagle et al., section 2). Each frame is first moved by a
+similarity that was fitted on the rigid part of the face. The frame keeps the movement, so that a rendered face can be
+placed back into the original picture.
 """
 
 from __future__ import annotations
@@ -22,11 +22,30 @@ REGISTRATION_KINDS: tuple[RegistrationKind, ...] = ("none", "similarity", "affin
 
 @dataclass(frozen=True, eq=False)
 class FaceFrame:
-    """Nagle's faceframe: three points (x, y) px that place a face (sections 3 and 4, step 4).
+    """Nagle's faceframe: three points (x, y) px that locate a face.
 
-    `right_eye` is the subject's right, on the image's left. Raises `BadInput` for points that are not finite, and for
-    both eyes in one place. A head may be turned or tilted, so nothing else is asked of the points here; readers put the
-    eyes in order (`io.sidecars.eyes_in_order`) and check that the face stands upright (`model.keypoints`).
+    A head may be turned or tilted. Readers put the eyes in order (`io.sidecars.eyes_in_order`) and check that the
+    face is upright (`model.keypoints`).
+
+    Attributes
+    ----------
+    right_eye, left_eye : (x, y) px
+        Eye centres; right is the subject's right, the image's left.
+    philtrum : (x, y) px
+
+    Raises
+    ------
+    BadInput
+        If a point is not finite, or both eyes coincide.
+
+    References
+    ----------
+    Nagle et al., section 3 and section 4, step 4.
+
+    Examples
+    --------
+    >>> FaceFrame((20.0, 30.0), (40.0, 30.0), (30.0, 46.0)).points.tolist()
+    [[20.0, 30.0], [40.0, 30.0], [30.0, 46.0]]
     """
 
     right_eye: tuple[float, float]
@@ -36,9 +55,13 @@ class FaceFrame:
     def __post_init__(self) -> None:
         points = self.points
         if points.shape != (3, 2) or not np.isfinite(points).all():
-            raise BadInput("a faceframe is not three finite points x,y: mark it again")
+            raise BadInput(
+                "a faceframe has points that are not finite; expected three points x,y. Mark it again"
+            )
         if (points[0] == points[1]).all():
-            raise BadInput(f"a faceframe has both eyes at {points[0, 0]:g},{points[0, 1]:g}: mark it again")
+            raise BadInput(
+                f"a faceframe has both eyes at {points[0, 0]:g},{points[0, 1]:g}; expected two places. Mark it again"
+            )
 
     @classmethod
     def at(cls, points: Points) -> FaceFrame:
@@ -48,15 +71,21 @@ class FaceFrame:
 
     @property
     def points(self) -> Points:
-        """The three points in order, (3, 2) float64 px."""
+        """The three points in this order, (3, 2) float64 px."""
         return np.array([self.right_eye, self.left_eye, self.philtrum], np.float64)
 
 
 @dataclass(frozen=True, eq=False)
 class Frame:
-    """One image of a face on the reference's grid: image (h, w, 3) | name | registration.
+    """An aligned picture of a face.
 
-    `registration` (2, 3) maps a point of the aligned image to the model frame as it was before alignment.
+    Attributes
+    ----------
+    image : array (h, w, 3)
+        On the reference's grid.
+    name : str
+    registration : array (2, 3)
+        Affine from a point of the aligned image to the frame before alignment.
     """
 
     image: Image
@@ -65,7 +94,7 @@ class Frame:
 
 
 def aligned(image: Image, name: str, registration: Affine) -> Frame:
-    """Bring a model frame to the reference: aligned(p) = image(registration p)."""
+    """Align a frame with the reference: aligned(p) = image(registration p)."""
     if np.array_equal(registration, identity_affine()):
         return Frame(image, name, registration)
     height, width = image.shape[:2]
@@ -75,5 +104,5 @@ def aligned(image: Image, name: str, registration: Affine) -> Frame:
 
 
 def identity_affine() -> Affine:
-    """Give the affine (2, 3) that moves nothing."""
+    """Return the identity as an affine (2, 3)."""
     return np.eye(2, 3)

@@ -1,8 +1,8 @@
-"""Points found on a face in one image: the 478 of MediaPipe's mesh, by name, and what is measured from them.
+"""The 478 points of MediaPipe's face mesh by name, and measures of them.
 
-The faceframe (Nagle sections 3 and 4, step 4) is taken from them: an eye's centre is the mean of its lid ring, which
-stays in place through a blink where the iris does not, and the philtrum's is one point of the mesh (ours). "Right" is
-the subject's right, which is the image's left.
+They determine the faceframe (Nagle et al., sections 3 and 4, step 4). An eye centre is the mean of its ring of lid
+points, which a blink does not move as a gaze moves the iris; the philtrum is one mesh point (ours). "Right" is the
+subject's right, the image's left.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from morphspace.face.faceframe import FaceFrame
 
 SCHEME = "mediapipe-478"
 POINT_COUNT = 478
-MESH_COUNT = 468  # the rest are the two irises
+MESH_COUNT = 468  # points; the others are the two irises
 
 # Lid rings run from the outer corner along the lower lid to the inner corner, and back along the upper lid.
 RIGHT_LIDS = (33, 7, 163, 144, 145, 153, 154, 155, 133, 173, 157, 158, 159, 160, 161, 246)
@@ -33,7 +33,7 @@ INNER_LIPS = (78, 191, 80, 81, 82, 13, 312, 311, 310, 415, 308, 324, 318, 402, 3
 LIPS = OUTER_LIPS + INNER_LIPS
 MOUTH_CORNERS = (61, 291)
 UPPER_LIP_BOTTOM, LOWER_LIP_TOP = 13, 14
-# The face's rim runs from the top of the forehead down the image's right side to the chin, and back up.
+# The outline runs from the top of the forehead down the image's right side to the chin, and back up.
 FACE_OUTLINE = (
     *(10, 338, 297, 332, 284, 251, 389, 356, 454, 323, 361, 288, 397, 365, 379, 378, 400, 377, 152),
     *(148, 176, 149, 150, 136, 172, 58, 132, 93, 234, 127, 162, 21, 54, 103, 67, 109),
@@ -45,19 +45,20 @@ GROUPS: Mapping[str, tuple[int, ...]] = {
     "inner lips": INNER_LIPS,
     "outline": FACE_OUTLINE,
 }
-"""The landmarks, by what they mark: places in the mesh of what moves with expression, and of the face's rim."""
+"""The landmarks by group: mesh points of the features that move with expression, and of the face's outline."""
 LANDMARKS: tuple[int, ...] = tuple(place for places in GROUPS.values() for place in places)
-"""All landmarks, group after group."""
-# What moves with the skull: corners of the eyes, root, ridge and base of the nose; no brow, lid, cheek, lip or jaw.
+"""All landmarks, in the order of the groups."""
+# Points that move with the skull: corners of the eyes, root, ridge and base of the nose.
 RIGID_POINTS = (33, 133, 362, 263, 168, 6, 197, 195, 5, 4, 1, 2, 98, 327)
 PHILTRUM = 164
 
-# Pairs of like points, the subject's right first, and a line down the face: none moves much with expression.
+# Symmetric pairs, the subject's right first, and a line down the face; expressions move these points little.
 MIRRORED_PAIRS = ((33, 263), (133, 362), (127, 356), (234, 454), (162, 389), (98, 327))
 DOWN_FROM, DOWN_TO = (33, 133, 362, 263), (98, 2, 327)  # the corners of the eyes, the base of the nose
-# How far the base of the nose stands before the eyes in a face that looks at the camera: the median over eleven clips.
-RESTING_PITCH_DEG = 23.5
-MAX_TURN_DEG = 20.0  # beyond it a driving face is flagged: the far side is hidden
+RESTING_PITCH_DEG = (
+    23.5  # degrees by which a frontal face's nose base is in front of its eyes; median of eleven clips
+)
+MAX_TURN_DEG = 20.0  # degrees; above it a driving face is flagged, since its far side is hidden
 
 
 # fmt: off
@@ -67,9 +68,9 @@ MIDDLE = (0, 1, 2, 4, 5, 6, 8, 9, 10, 11, 12, 13, 14, 15,
 
 
 def _opposite() -> tuple[int, ...]:
-    """Pair the sides, which are numbered one after the other in the same order.
+    """Pair the points of both sides, which are numbered in the same order.
 
-    The pairs were found by reading frames and their mirror images with the mesh network (ours).
+    The pairs were found by detection in frames and their mirror images (ours).
     """
     order = np.arange(MESH_COUNT)
     aside = np.setdiff1d(order, MIDDLE)
@@ -79,16 +80,27 @@ def _opposite() -> tuple[int, ...]:
 
 
 OPPOSITE = _opposite()
-"""For each of the 468 points of the mesh, the one opposite; a point of the middle line is its own."""
+"""The mirror point of each of the 468 mesh points; a point of the middle line is its own."""
 
 
 @dataclass(frozen=True, eq=False)
 class FacePoints:
-    """Points on a face: `points` (n, 2) px | `score` of the face in [0, 1] | `scheme`, what each point is.
+    """Points of a face in an image.
 
-    `depth` (n,) px is the distance behind the face's own centre as the detector guesses it, in pixels of the image,
-    smaller nearer to the camera; empty where it is not known. Raises `BadInput` for points that do not fit the scheme
-    or are not finite.
+    Attributes
+    ----------
+    points : array (n, 2) px
+    score : float
+        Of the face, in [0, 1].
+    scheme : str
+        The meaning of each point.
+    depth : array (n,) px, or None
+        Estimated distance behind the face's centre, smaller nearer to the camera; None if unknown.
+
+    Raises
+    ------
+    BadInput
+        If the points do not fit the scheme or are not finite.
     """
 
     points: Points
@@ -99,14 +111,16 @@ class FacePoints:
     def __post_init__(self) -> None:
         expected = (POINT_COUNT, 2) if self.scheme == SCHEME else (len(self.points), 2)
         if self.points.shape != expected:
-            raise BadInput(f"{self.scheme} has points of shape {expected}, these are {self.points.shape}")
+            raise BadInput(f"points of {self.scheme} have shape {self.points.shape}; expected {expected}")
         if self.depth is not None and self.depth.shape != expected[:1]:
-            raise BadInput(f"{expected[0]} points have depths of shape {self.depth.shape}: give one for each")
+            raise BadInput(
+                f"depths have shape {self.depth.shape}; expected {expected[:1]}, one for each point"
+            )
         if not np.isfinite(self.points).all():
-            raise BadInput("some face points are not finite: leave this frame out")
+            raise BadInput("a face point is not finite. Leave this frame out")
 
     def faceframe(self) -> FaceFrame:
-        """Give the faceframe: means of the lid rings, and the middle of the philtrum."""
+        """Compute the faceframe: the means of the lid rings, and the middle of the philtrum."""
         self._need_scheme()
         three = [
             self.points[list(RIGHT_LIDS)].mean(axis=0),
@@ -123,45 +137,49 @@ class FacePoints:
 
     @property
     def turn_degrees(self) -> tuple[float, float]:
-        """How far the head is turned out of the picture: (yaw, pitch) degrees, from the guessed depth (ours).
+        """The turn of the head out of the picture, (yaw, pitch) in degrees, from the estimated depth (ours).
 
-        Yaw is positive where the face looks to the image's right, pitch where it looks up. It is good to a few
-        degrees up to about 30, and pitch less so: noses differ. Raises `BadInput` where no depth is known.
+        Yaw is positive towards the image's right, pitch upwards. Errors are a few degrees up to about 30 degrees,
+        larger for pitch, since noses differ. Raises `BadInput` without depth.
         """
         self._need_scheme()
         if self.depth is None:
-            raise BadInput(
-                "these face points have no depth, so the head's turn is not known: detect them anew"
-            )
+            raise BadInput("the face points have no depth; the head's turn needs it. Detect them again")
         solid = np.column_stack([self.points, self.depth])
         right, left = (list(side) for side in zip(*MIRRORED_PAIRS, strict=True))
         across = (solid[left] - solid[right]).sum(axis=0)
         down = solid[list(DOWN_TO)].mean(axis=0) - solid[list(DOWN_FROM)].mean(axis=0)
         yaw = np.degrees(np.arctan2(across[2], np.hypot(across[0], across[1])))
-        # The nose stands out along the viewing direction of the face; the part of `down` along the eye line is noise.
+        # The nose points along the face's viewing direction; the part of `down` along the eye line is noise.
         across = across / np.linalg.norm(across)
         down = down - (down @ across) * across
         pitch = np.degrees(np.arctan2(-down[2], np.hypot(down[0], down[1]))) - RESTING_PITCH_DEG
         return float(yaw), float(pitch)
 
     def is_turned(self, limit_deg: float = MAX_TURN_DEG) -> bool:
-        """Tell whether the head is turned out of the picture by more than `limit_deg`, to a side or up or down."""
+        """Return whether yaw or pitch exceeds `limit_deg`."""
         return max(map(abs, self.turn_degrees)) > limit_deg
 
     def moved(self, points: Points) -> FacePoints:
-        """Give the same face with its points (n, 2) px elsewhere; the depth, which belonged to the old ones, goes."""
+        """Return the face with other points (n, 2) px and without depth."""
         return FacePoints(np.asarray(points, np.float64), self.score, self.scheme)
 
     def _need_scheme(self) -> None:
         if self.scheme != SCHEME:
-            raise BadInput(f"these face points are {self.scheme}, {SCHEME} is needed: detect them anew")
+            raise BadInput(f"the face points are {self.scheme}; expected {SCHEME}. Detect them again")
 
 
 def landmark_places(group: str) -> slice:
-    """Return which of the m landmarks belong to a group. Raises `BadInput` for a name that is none of `GROUPS`."""
+    """Return the slice of a group in the m landmarks. Raises `BadInput` for a name outside `GROUPS`.
+
+    Examples
+    --------
+    >>> landmark_places("brows")
+    slice(32, 52, None)
+    """
     start = 0
     for name, places in GROUPS.items():
         if name == group:
             return slice(start, start + len(places))
         start += len(places)
-    raise BadInput(f"there are no landmarks called {group!r}: choose one of {', '.join(GROUPS)}")
+    raise BadInput(f"the landmark group is {group!r}; expected one of {', '.join(GROUPS)}")

@@ -1,7 +1,7 @@
-"""The points of the face in every frame of a clip: found once a frame, and kept in the work folder (ours).
+"""Face points in every frame of a clip, detected once and kept in the work folder (ours).
 
-A detector sees where a face stands without knowing the reference, so it tells a head that moved far from one that
-changed, which dense flow cannot. What a build takes from the points is in `face.anchor`.
+A detector locates the face without the reference. So it separates a large head movement from a change of the face,
+which dense flow cannot. `face.anchor` describes their use in a build.
 """
 
 from __future__ import annotations
@@ -34,9 +34,21 @@ def points_steps(
     also: Collection[int] = (),
     look: Callable[[int, Image], None] = _nothing,
 ) -> Steps[tuple[FacePoints | None, ...]]:
-    """Find the face in each frame, or take it from the work folder; None where there is none. A generator of steps.
+    """Detect the face in each frame, or read it from the work folder; a generator of steps.
 
-    Frames at the places `also` are given to `look` too, in several threads, so that they need not be decoded again.
+    Parameters
+    ----------
+    source : FrameSource
+        n frames.
+    detector : Detector
+    work_folder : Path
+    also, look
+        Frames at the places `also` are passed to `look` too, in several threads, and so are decoded once.
+
+    Returns
+    -------
+    tuple of n FacePoints or None
+        None in frames without a face.
     """
     common = [POINTS_FORMAT, cv2.__version__, dict(detector.identity)]
     files = [result_file(work_folder, *common, digest) for digest in source.digests]

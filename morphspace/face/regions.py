@@ -1,9 +1,9 @@
-"""All masks of the face: soft ellipses, named parts, and the mask of a model (ours).
+"""Masks of the face: soft ellipses, named parts, and the mask of a model (ours).
 
-A mask is (h, w) in [0, 1], 1 inside. Three are ellipses, on any frame: the face, its rigid part for registration (Nagle
-section 2), and the surroundings of the mouth. They are placed by a faceframe, or where a frame cropped to a face
-usually has them. The named parts (`REGIONS`) lie on a mean face; verbs accept these words and no others. They
-are drawn around the landmarks where a model has them, else by usual proportions from its faceframe.
+A mask is (h, w) in [0, 1], 1 inside. Three ellipses exist for any frame: the face, its rigid part for registration
+(Nagle et al., section 2), and the surroundings of the mouth. A faceframe places them, else the usual position in a
+frame cropped to a face. The named parts (`REGIONS`) lie on a mean face. They follow the landmarks if the model has
+them, else the usual proportions from its faceframe. Commands accept these names alone.
 """
 
 from __future__ import annotations
@@ -20,89 +20,98 @@ from morphspace.face.faceframe import FaceFrame
 from morphspace.face.mesh import FacePoints, landmark_places
 from morphspace.grid import warp
 
-# Where a face stands in a frame cropped to it, as shares of the frame's width and height: centre x, y, half axes x, y.
+# Ellipses in a frame cropped to a face, in shares of its width and height: centre x, y, half axes x, y.
 FACE_ELLIPSE = (0.50, 0.52, 0.37, 0.42)
 RIGID_ELLIPSE = (0.50, 0.48, 0.27, 0.19)  # brow to nose
-MOUTH_ELLIPSE = (0.50, 0.77, 0.19, 0.11)  # below the nostrils, which are dark too
-# The same, measured from a faceframe: in eye-to-eye distances (x) and eye-to-philtrum distances (y).
+MOUTH_ELLIPSE = (0.50, 0.77, 0.19, 0.11)  # below the nostrils, which are dark as a mouth is
+# The same from a faceframe, in eye-to-eye distances (x) and eye-to-philtrum distances (y).
 FACE_FROM_FACEFRAME = (0.0, 0.55, 1.25, 2.0)
 RIGID_FROM_FACEFRAME = (0.0, 0.15, 1.0, 0.75)
 MOUTH_FROM_FACEFRAME = (0.0, 1.4, 0.6, 0.5)
-SOFT_EDGE = 0.15  # of the radius, over which an ellipse falls from 1 to 0
-OVERLAP = 0.6  # intersection over union of the usual ellipse with that of the face found, at which the usual one fits
+SOFT_EDGE = 0.15  # share of the radius over which an ellipse falls from 1 to 0
+OVERLAP = (
+    0.6  # intersection over union with the detected face's ellipse, from which the usual ellipse is kept
+)
 
 WHOLE = "whole"
 REGIONS = (WHOLE, "eyes", "brows", "mouth", "nose", "upper", "lower")
-"""The words for a part of the face; several are joined by "+"."""
-SOFT = 0.08  # eye distances: sd of a part's edge, so that neither warp nor colour gets a seam
-FINER = 4  # bits of the corners' fractions OpenCV fills polygons with
-# How far a part reaches beyond its landmarks' hull, in eye distances.
+"""Names of parts of the face; several are joined by "+"."""
+SOFT = 0.08  # eye distances, SD of a part's edge; avoids seams in warp and colour
+FINER = 4  # fractional bits of a polygon's corners in OpenCV
+# Eye distances that a part extends beyond the hull of its landmarks.
 MARGINS = {"eyes": 0.12, "brows": 0.06, "mouth": 0.14}
-# By the faceframe alone: ellipses (x, y, half width, half height) in eye distances; x to the subject's left from the
-# middle of the eyes, y down. The philtrum lies near (0, 0.95).
+# From the faceframe alone: ellipses (x, y, half width, half height) in eye distances, x from the middle of the eyes to
+# the subject's left, y down. The philtrum is near (0, 0.95).
 ELLIPSES: Mapping[str, tuple[tuple[float, float, float, float], ...]] = {
     "eyes": ((-0.5, 0.0, 0.36, 0.24), (0.5, 0.0, 0.36, 0.24)),
     "brows": ((-0.5, -0.38, 0.46, 0.18), (0.5, -0.38, 0.46, 0.18)),
     "mouth": ((0.0, 1.25, 0.58, 0.36),),
 }
-# The nose by the faceframe: corners as shares (across in eye distances, down as a share of the way to the philtrum).
+# Corners of the nose from the faceframe: across in eye distances, down as a share of the distance to the philtrum.
 NOSE = ((-0.14, 0.05), (0.14, 0.05), (0.36, 0.62), (0.36, 0.85), (-0.36, 0.85), (-0.36, 0.62))
-HALVES = 0.45  # of the way from the eyes to the philtrum: the line between upper and lower face
+HALVES = 0.45  # share of the distance from eyes to philtrum at which upper and lower face meet
 
 
 def face_mask(height: int, width: int, faceframe: FaceFrame | None = None) -> Mask:
-    """Return a soft ellipse over the face, (h, w): by the faceframe, else where a cropped face stands."""
+    """Return a soft ellipse over the face, (h, w): placed by the faceframe, or else for a cropped face."""
     return _soft_ellipse(height, width, FACE_ELLIPSE, FACE_FROM_FACEFRAME, faceframe)
 
 
 def rigid_region(height: int, width: int, faceframe: FaceFrame | None = None) -> Mask:
-    """Return a soft ellipse over the part of the face that moves with the skull, brow to nose, (h, w)."""
+    """Return a soft ellipse from brow to nose, the part that moves with the skull, (h, w)."""
     return _soft_ellipse(height, width, RIGID_ELLIPSE, RIGID_FROM_FACEFRAME, faceframe)
 
 
 def mouth_surroundings(height: int, width: int, faceframe: FaceFrame | None = None) -> Mask:
-    """Return a soft ellipse over where the mouth may be in any frame of a clip, open or closed, (h, w).
+    """Return a soft ellipse over all positions of an open or closed mouth in a clip, (h, w).
 
-    It is wider than the part "mouth" of `region_mask`, which lies around the lips of one mean face.
+    It is wider than the part "mouth" of `region_mask`, which surrounds the lips of one mean face.
     """
     return _soft_ellipse(height, width, MOUTH_ELLIPSE, MOUTH_FROM_FACEFRAME, faceframe)
 
 
 def check_region(name: str) -> None:
-    """Raise `BadInput` for a name that is none of `REGIONS`, nor several joined by "+"."""
+    """Check that a name is one of `REGIONS`, or several joined by "+". Raises `BadInput` otherwise."""
     for part in name.split("+"):
         if part.strip() not in REGIONS:
             raise BadInput(
-                f"there is no region {part.strip()!r}: choose of {', '.join(REGIONS)}, join several by +, or give a "
-                "grey picture of the model's size"
+                f"the region is {part.strip()!r}; expected one of {', '.join(REGIONS)}, or several joined by +. Or "
+                "give a grey picture of the model's size"
             )
 
 
 def region_mask(
     name: str, height: int, width: int, faceframe: FaceFrame | None, landmarks: Points | None = None
 ) -> Mask:
-    """Return the mask of a part of a mean face, or of several.
+    """Draw the mask of one or several parts of a mean face.
 
     Parameters
     ----------
-    name
+    name : str
         One of `REGIONS`, or several joined by "+".
-    height, width
+    height, width : int
         Size of the mean face, px.
-    faceframe
-        The three points on the mean face; only "whole" can do without.
-    landmarks
-        (m, 2) px on the mean face in the order of `mesh.LANDMARKS`, or None where they are not known. Eyes, brows and
-        mouth are drawn around them.
+    faceframe : FaceFrame or None
+        The three points on the mean face; only "whole" needs none.
+    landmarks : array (m, 2) px, optional
+        On the mean face, in the order of `mesh.LANDMARKS`. Eyes, brows and mouth are drawn around them.
 
     Returns
     -------
-    (h, w) in [0, 1], read-only: 1 inside, falling off over some hundredths of the eye distance.
+    array (h, w) in [0, 1], read-only
+        1 inside, with an edge of some hundredths of the eye distance.
 
     Raises
     ------
     BadInput
-        The name is no region, or `faceframe` is None.
+        If the name is no region, or the faceframe is missing.
+
+    Examples
+    --------
+    >>> frame = FaceFrame((20.0, 30.0), (40.0, 30.0), (30.0, 46.0))
+    >>> mask = region_mask("eyes + mouth", 72, 60, frame)
+    >>> mask.shape, mask[30, 20].item(), mask[55, 30].item(), mask[0, 0].item()
+    ((72, 60), 1.0, 1.0, 0.0)
     """
     check_region(name)
     parts = [part.strip() for part in name.split("+")]
@@ -116,8 +125,8 @@ def _part(name: str, height: int, width: int, frame: FaceFrame | None, landmarks
         return np.ones((height, width), np.float32)
     if frame is None:
         raise BadInput(
-            f"the model has no keypoints, so it is not known where its {name} is: run `morphspace keypoints` on it, or "
-            "give a grey picture as the region"
+            f"the model has no keypoints; its region {name} needs them. Run `morphspace keypoints` on it, or give a "
+            "grey picture as the region"
         )
     if name in ("upper", "lower"):
         upper = _upper(frame, height, width)
@@ -132,10 +141,10 @@ def _part(name: str, height: int, width: int, frame: FaceFrame | None, landmarks
 
 
 def place_of_mask(face: FacePoints | None, height: int, width: int, overlap: float) -> FaceFrame | None:
-    """Give what places the ellipse on the reference: the face found there, None for where a cropped face stands.
+    """Return the faceframe that places the ellipse on the reference; None for that of a cropped face.
 
-    The usual ellipse takes in more of forehead and chin, and held-out frames come back a little better with it, so it
-    stays where it overlaps with that of the face by `overlap` (intersection over union) or more.
+    The ellipse of a cropped face covers more of forehead and chin, and held-out frames are reconstructed slightly
+    better with it. It is kept if its intersection over union with the detected face's ellipse is `overlap` or more.
     """
     if face is None:
         return None
@@ -145,7 +154,7 @@ def place_of_mask(face: FacePoints | None, height: int, width: int, overlap: flo
 
 
 def origin_of_mask(drawn: Mask | None, marked: FaceFrame | None, placed: FaceFrame | None) -> str:
-    """Say for the provenance where the mask came from: `given`, `faceframe`, `found face` or `ellipse`."""
+    """Return the origin of the mask for the provenance: `given`, `faceframe`, `found face` or `ellipse`."""
     if drawn is not None:
         return "given"
     if marked is not None:
@@ -154,16 +163,19 @@ def origin_of_mask(drawn: Mask | None, marked: FaceFrame | None, placed: FaceFra
 
 
 def mask_on_mean(drawn: Mask | None, mean_inverse: Displacement, faceframe: FaceFrame | None) -> Mask:
-    """Carry the mask (h, w) from the reference to the mean face; an ellipse where none was drawn there.
+    """Carry the mask (h, w) from the reference to the mean face, or draw an ellipse there if none was drawn.
 
-    Raises `BadInput` for one that is 0 everywhere.
+    Raises
+    ------
+    BadInput
+        If the mask is 0 everywhere.
     """
     if drawn is None:
         height, width = mean_inverse.shape[:2]
         return face_mask(height, width, faceframe)
     mask = np.clip(warp.sample_field(drawn.astype(np.float32), mean_inverse), 0, 1)
     if not mask.any():
-        raise BadInput("the mask is empty (0 everywhere): paint the face white")
+        raise BadInput("the mask is empty (0 everywhere); expected white inside the face. Draw it again")
     return mask
 
 
@@ -203,7 +215,7 @@ def _eye_distance(frame: FaceFrame) -> float:
 
 
 def _from_eyes(frame: FaceFrame) -> Callable[[AnyArray], Points]:
-    """Return what maps (x, y) in eye distances, from the middle of the eyes along the face's own axes, to px."""
+    """Return the function from (x, y) in eye distances, from the middle of the eyes along the face's axes, to px."""
     across = np.subtract(frame.left_eye, frame.right_eye)
     down = np.array([-across[1], across[0]])
     middle = np.add(frame.left_eye, frame.right_eye) / 2
@@ -211,7 +223,7 @@ def _from_eyes(frame: FaceFrame) -> Callable[[AnyArray], Points]:
 
 
 def _eyes_to_philtrum(frame: FaceFrame) -> float:
-    """Return how far the philtrum lies below the eyes, in eye distances."""
+    """Measure the distance of the philtrum below the eyes, in eye distances."""
     across = np.subtract(frame.left_eye, frame.right_eye)
     down = np.array([-across[1], across[0]]) / (across @ across)
     return float(np.subtract(frame.philtrum, np.add(frame.left_eye, frame.right_eye) / 2) @ down)
@@ -223,12 +235,12 @@ def _ellipse(x: float, y: float, half_width: float, half_height: float) -> AnyAr
 
 
 def _filled(polygons: list[Points], margin: float, frame: FaceFrame, height: int, width: int) -> Mask:
-    """Fill polygons (m, 2) px, grow them by a margin in eye distances, and soften the edge outwards from there."""
+    """Fill polygons (m, 2) px, grow them by a margin in eye distances, and soften the edge outside."""
     unit = _eye_distance(frame)
     inside = np.zeros((height, width), np.uint8)
     for polygon in polygons:
         cv2.fillPoly(inside, [np.rint(polygon * 2**FINER).astype(np.int32)], 1, shift=FINER)
-    # OpenCV's exact distance transform differs in its last bits from call to call; this one counts in whole numbers.
+    # The last bits of OpenCV's exact distance transform differ between calls; this one uses integers.
     distance = ndimage.distance_transform_edt(1 - inside)
     beyond = np.maximum(distance - margin * unit, 0)
     out: Mask = np.exp(-0.5 * (beyond / (SOFT * unit)) ** 2).astype(np.float32)
@@ -236,7 +248,7 @@ def _filled(polygons: list[Points], margin: float, frame: FaceFrame, height: int
 
 
 def _upper(frame: FaceFrame, height: int, width: int) -> Mask:
-    """Return the upper face: a smooth step across the line between the halves."""
+    """Draw the upper face: a smooth step across the line between the halves."""
     unit = _eye_distance(frame)
     across = np.subtract(frame.left_eye, frame.right_eye) / unit
     down = np.array([-across[1], across[0]])
@@ -245,5 +257,5 @@ def _upper(frame: FaceFrame, height: int, width: int) -> Mask:
     below = (x - middle[0]) * down[0] + (y - middle[1]) * down[1] - HALVES * _eyes_to_philtrum(frame) * unit
     out: Mask = (1 / (1 + np.exp(1.7 * below / (SOFT * unit)))).astype(
         np.float32
-    )  # 1.7: near a Gaussian's edge
+    )  # 1.7 approximates a Gaussian edge
     return out

@@ -1,8 +1,9 @@
-"""How a head moved between the reference and a frame: a similarity fitted on the part that moves with the skull.
+"""Register head movement: a similarity fitted on the part of the face that moves with the skull.
 
-Dense flow gives the matches, texture says where flow can be believed, and reweighted least squares leave out what moves
-by itself (ours). Flow loses a head that moved or turned far, and costs most of the time; points that a detector found
-know within a pixel or so where the skull is. From there two flows of the skull's surroundings alone are enough.
+Nagle et al. (section 2) remove rigid movement first; the method is ours. Dense flow gives the matches, local texture
+their weight, and reweighted least squares reject parts that move by themselves. Flow fails on large movements and
+takes most of the time. Detected points locate the skull to about a pixel. From there two flows of the skull's
+surroundings suffice.
 """
 
 from __future__ import annotations
@@ -19,19 +20,19 @@ from morphspace.face.faceframe import RegistrationKind, identity_affine
 from morphspace.flow.baselines import LUMA, grey_codes
 from morphspace.grid import warp
 
-PASSES = 2  # the second measures the flow again on the aligned frame, where it is small and exact
-# Around the rigid part, shares of the width: what flow from a start is given to see. The whole picture gave movements
-# within 0.1 px, and rigid parts no more alike, on five clips.
+PASSES = 2  # the second measures the flow on the aligned frame, where it is small and exact
+# Shares of the width around the rigid part, in which flow from a start is measured. On five clips the whole picture
+# gave movements within 0.1 px of these, and no smaller errors on the rigid part.
 SURROUNDINGS = (0.12, 0.04)
-CONFIRMED = 0.05  # of the width: a start that flow moves further was not where the skull is
-NOT_WORSE = 1.02  # times the error of a head that does not move: a start that leads beyond it was wrong
-CLEARLY_ALIKE = 0.95  # times the error of the plain way; two ways to the same place differ by less
-ROBUST_PASSES = 10  # of reweighting; forty moved the eyes by 0.01 to 0.18 px on three clips
-STILL_PX = 0.003  # a reweighting that moves no point further is the last
-ANCHORS = 2500  # points at most, evenly spread; all of them moved the eyes by 0.01 to 0.07 px on three clips
-SCALE_FLOOR_PX = 0.2  # residuals below this are flow noise, not expression
+CONFIRMED = 0.05  # share of the width; a start that flow corrects by more is rejected
+NOT_WORSE = 1.02  # times the error without movement; a start that ends above it is rejected
+CLEARLY_ALIKE = 0.95  # times the error without a start; two fits of one movement differ by less
+ROBUST_PASSES = 10  # reweightings; forty moved the eyes by 0.01 to 0.18 px on three clips
+STILL_PX = 0.003  # px; a reweighting that moves every point by less is the last
+ANCHORS = 2500  # points at most, evenly spread; all points moved the eyes by 0.01 to 0.07 px on three clips
+SCALE_FLOOR_PX = 0.2  # px; smaller residuals are flow noise, not expression
 CORNER_WINDOW_PX = 7
-CORNER_PERCENTILE = 80  # texture above this percentile of the rigid part counts in full
+CORNER_PERCENTILE = 80  # percentile of texture in the rigid part, from which the weight is 1
 
 Box = tuple[slice, slice]
 """Rows and columns of a picture."""
@@ -40,24 +41,41 @@ Box = tuple[slice, slice]
 def register(
     reference: Image, image: Image, kind: RegistrationKind, region: Mask, start: Affine | None = None
 ) -> Affine:
-    """Fit the head movement between the reference and an image, (2, 3): reference(p) ~ image(A p) on the rigid part.
+    """Fit the head movement A between reference and image: reference(p) ~ image(A p) on the rigid part.
 
-    `region` (h, w) says where the rigid part of the face lies. A `start` (2, 3), such as landmarks give, saves
-    time where flow confirms it, and finds heads that flow loses; a wrong one costs time.
+    Parameters
+    ----------
+    reference, image : array (h, w, 3)
+    kind : {"none", "similarity", "affine"}
+    region : array (h, w)
+        Weight of the rigid part.
+    start : array (2, 3), optional
+        An estimate, for example from landmarks. It saves time if flow confirms it, and finds heads that flow loses. A
+        wrong
+        start costs time only.
+
+    Returns
+    -------
+    array (2, 3)
+
+    Raises
+    ------
+    BadInput
+        If the movement is not finite.
     """
     return Registration(reference, kind, region).of(image, start)
 
 
 @dataclass(frozen=True, eq=False)
 class Registration:
-    """Brings images to one reference (h, w, 3); what depends on it alone is computed once. See `register`."""
+    """Registers images to one reference (h, w, 3), with its share of the computation done once; see `register`."""
 
     reference: Image
     kind: RegistrationKind
     region: Mask
 
     def of(self, image: Image, start: Affine | None = None) -> Affine:
-        """Give the head movement of an image (h, w, 3) of the reference's size."""
+        """Fit the head movement (2, 3) of an image (h, w, 3) of the reference's size."""
         _, weights = self._anchors
         if self.kind == "none" or weights.sum() <= 0:
             return identity_affine()
@@ -75,14 +93,14 @@ class Registration:
         return found if error < CLEARLY_ALIKE * self._error(plain, luma) else plain
 
     def _plainly(self, luma: Luma) -> Affine:
-        """Find the movement without a start."""
+        """Fit the movement without a start."""
         found = identity_affine()
         for _ in range(PASSES):
             found = self._corrected(found, luma, self._around(max(self.region.shape)))
         return found
 
     def _corrected(self, total: Affine, luma: Luma, box: Box) -> Affine:
-        """Correct a movement once, by the flow that is left after it in a box of the picture."""
+        """Correct a movement once, by the remaining flow in a box of the picture."""
         points, weights = self._anchors
         corner = box[1].start, box[0].start
         grey = np.ascontiguousarray(self._grey[box])
@@ -92,14 +110,14 @@ class Registration:
         return warp.chain_affine(total, step)
 
     def _error(self, movement: Affine, luma: Luma) -> float:
-        """Give how far the moved image misses the reference on its rigid part: root mean square luma, 0 to 1."""
+        """Compute the rms luma difference, 0 to 1, of the moved image and the reference on the rigid part."""
         box = self._around(0)
         weight = self.region[box]
         difference = luma.moved(movement, (box[1].start, box[0].start), weight.shape) - self._luma[box]
         return float(np.sqrt((difference * difference * weight).sum() / weight.sum()))
 
     def _around(self, margin: int) -> Box:
-        """Give the box that holds the rigid part and so many px around it, within the picture."""
+        """Return the box of the rigid part, with a margin in px, within the picture."""
         return tuple(
             slice(max(inside[0] - margin, 0), min(inside[-1] + 1 + margin, size))
             for inside, size in zip(self._inside, self.region.shape, strict=True)
@@ -119,7 +137,7 @@ class Registration:
 
     @cached_property
     def _anchors(self) -> tuple[Points, AnyArray]:
-        """Points (m, 2) px of the rigid part, and how much texture each has to hold on to, (m,) in [0, 1]."""
+        """Points (m, 2) px of the rigid part, and the weight of their texture, (m,) in [0, 1]."""
         corners = cv2.cornerMinEigenVal(self._grey, CORNER_WINDOW_PX)
         inside = self.region > 0.5
         full = np.percentile(corners[inside], CORNER_PERCENTILE) if inside.any() else 0.0
@@ -131,45 +149,45 @@ class Registration:
 
 
 class Luma:
-    """The luma of an image (h, w, 3), read wherever a movement takes it."""
+    """The luma of an image (h, w, 3), sampled after any movement."""
 
     def __init__(self, image: Image) -> None:
         self.still: AnyArray = image @ LUMA
         self.read = warp.spline_reader([self.still])
 
     def moved(self, movement: Affine, corner: tuple[int, int], shape: tuple[int, ...]) -> AnyArray:
-        """Give the pixels of a box (h, w) at `corner` (x, y) px after a movement (2, 3)."""
+        """Sample the pixels of a box (h, w) at `corner` (x, y) px after a movement (2, 3)."""
         if np.array_equal(movement, identity_affine()):
             return self.still[corner[1] : corner[1] + shape[0], corner[0] : corner[0] + shape[1]]
         return self.read(*_moved_grid(movement, corner, shape))[0]
 
 
 def _apart_px(one: Affine, other: Affine, points: Points) -> float:
-    """Give how far two movements take the points (n, 2) px apart at most."""
+    """Compute the largest distance between two movements over the points (n, 2) px."""
     return float(np.hypot(*(warp.apply_affine(one, points) - warp.apply_affine(other, points)).T).max())
 
 
 def _moved_grid(
     movement: Affine, corner: tuple[int, int], shape: tuple[int, ...]
 ) -> tuple[AnyArray, AnyArray]:
-    """Give where a movement takes the pixels of a box at `corner` (x, y): x and y, (h, w) px each."""
+    """Compute the position of each pixel of a box at `corner` (x, y) after a movement: x and y, (h, w) px."""
     x = np.arange(corner[0], corner[0] + shape[1], dtype=np.float64)
     y = np.arange(corner[1], corner[1] + shape[0], dtype=np.float64)[:, None]
     if not np.isfinite(movement).all():
-        raise BadInput("the movement of a head came out as not finite: look at the image it was measured in")
+        raise BadInput("the head movement is not finite. Check the image in which it was measured")
     at_x, at_y = (movement[i, 0] * x + movement[i, 1] * y + movement[i, 2] for i in (0, 1))
     return at_x.astype(np.float32), at_y.astype(np.float32)
 
 
 def codes_of_luma(luma: AnyArray) -> AnyArray:
-    """Give luma (h, w) in [0, 1] as uint8, as `grey_codes` does of a picture."""
+    """Convert luma (h, w) in [0, 1] to uint8, as `grey_codes` converts a picture."""
     return np.clip(luma * 255 + 0.5, 0, 255).astype(np.uint8)
 
 
 def dis_of_codes(reference: AnyArray, frame: AnyArray) -> Displacement:
-    """Estimate the flow between grey pictures (h, w) uint8 by dense inverse search, preset "medium"; rough, and fast.
+    """Estimate flow between grey pictures (h, w) uint8 by dense inverse search, preset "medium": approximate, and fast.
 
-    The same as `flow.baselines.dis_medium` finds, which starts from colours.
+    It equals `flow.baselines.dis_medium`, which starts from colours.
     """
     estimator = cv2.DISOpticalFlow.create(cv2.DISOPTICAL_FLOW_PRESET_MEDIUM)
     field: Displacement = estimator.calc(reference, frame, None)
@@ -199,12 +217,20 @@ def _robust_affine(source: Points, target: Points, prior: AnyArray, kind: Regist
 
 
 def fitted_similarity(source: Points, target: Points) -> Affine:
-    """Fit scale, turn and shift, (2, 3), between points (m, 2) and (m, 2), robustly: those far off count little."""
+    """Fit scale, rotation and shift, (2, 3), between points (m, 2) and (m, 2), robustly: outliers have little weight.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> square = np.array([[0.0, 0.0], [4.0, 0.0], [4.0, 4.0], [0.0, 4.0]])
+    >>> (fitted_similarity(square, 2 * square + (1, 3)) @ (4, 4, 1)).round(6).tolist()
+    [9.0, 11.0]
+    """
     return _robust_affine(source, target, np.ones(len(source)), "similarity")
 
 
 def _similarity(source: AnyArray, target: AnyArray, weight: AnyArray) -> Affine:
-    """Fit scale, turn and shift of points (2, m) by weighted least squares (Umeyama 1991, without reflection)."""
+    """Fit scale, rotation and shift of points (2, m) by weighted least squares (Umeyama 1991, without reflection)."""
     total = weight.sum()
     from_mean, to_mean = source @ weight / total, target @ weight / total
     both = np.concatenate([source - from_mean[:, None], target - to_mean[:, None]])

@@ -23,7 +23,7 @@ from morphspace.errors import BadInput
 from morphspace.face import regions
 from morphspace.face.anchor import FaceAnchor, rigid_movement
 from morphspace.face.detector import Detector
-from morphspace.face.expression import expression_of, far_from_rest
+from morphspace.face.expression import distance_from_neutral, expression_of
 from morphspace.face.faceframe import FaceFrame, Frame, RegistrationKind
 from morphspace.face.mesh import FacePoints
 from morphspace.face.points_in_clip import points_steps
@@ -250,7 +250,7 @@ def _reference_pass(source: FrameSource, settings: BuildSettings, survey: _Surve
         return ReferenceChoice(settings.reference, source.names[settings.reference], "it was asked for")
     indices = sorted(survey.small)
     faces = [survey.found[index] if settings.anchored else None for index in indices]
-    far = far_from_rest(faces)
+    far = distance_from_neutral(faces)
     known = bool(np.isfinite(far).any())
     place, errors = yield from search([survey.small[index] for index in indices], far if known else None)
     best, worst = min(errors.values()), max(errors.values())
@@ -266,7 +266,7 @@ def _nearest(face: FacePoints | None) -> str:
     if face is None:
         return "its mouth is nearest to half open"
     return (
-        "its face is nearest to rest with the lips slightly apart (their gap is "
+        "its face is nearest to neutral with the lips slightly apart (their gap is "
         f"{expression_of(face).mouth_opening:.2f} eye distances)"
     )
 

@@ -85,7 +85,7 @@ def search(frames: Sequence[SmallFrame], far: AnyArray | None = None) -> Steps[t
     ----------
     frames : sequence of n SmallFrame
     far : array (n,), optional
-        Distance of each face from neutral (`face.expression.far_from_rest`), inf if unknown. It replaces the
+        Distance of each face from neutral (`face.expression.distance_from_neutral`), inf if unknown. It replaces the
         contrasts.
 
     Returns

@@ -175,7 +175,7 @@ def test_a_model_built_with_face_points_refuses_to_read_without_the_networks(
     told = {"reference_has_face": True, "anchored": anchored}
     held = replace(model, provenance={**model.provenance, "landmarks": told}, registration="similarity")
     with pytest.raises(
-        MissingModels, match=r"drawn was built with face points.*run `morphspace models fetch`"
+        MissingModels, match=r"drawn was built with face points.*Run `morphspace models fetch`"
     ):
         held.encode(model.reference)
     plain = replace(model, registration="similarity").encode(model.reference)

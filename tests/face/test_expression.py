@@ -6,8 +6,8 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from morphspace.face.expression import (
     SLIGHTLY_OPEN,
+    distance_from_neutral,
     expression_of,
-    far_from_rest,
     lid_opening,
     mean_gap,
     mouth_opening,
@@ -83,28 +83,28 @@ def test_the_width_and_the_lids_are_in_eye_distances_too():
 
 def test_calm_faces_with_the_lips_slightly_apart_are_nearest_to_rest():
     calm = [face() for _ in range(5)]
-    far = far_from_rest([*calm, face(0.4), None, face(0.0), face(raised=RIGHT_BROW + LEFT_BROW)])
+    far = distance_from_neutral([*calm, face(0.4), None, face(0.0), face(raised=RIGHT_BROW + LEFT_BROW)])
     assert_allclose(far[:5], 0, atol=1e-6)
     assert np.isinf(far[6])
     assert (far[[5, 7]] > 1).all() and far[8] > 0.5
 
 
-def test_a_blink_is_far_from_rest_and_wide_open_eyes_less():
+def test_a_blink_is_distance_from_neutral_and_wide_open_eyes_less():
     def eyed(gap):
         one = face()
         points = one.points.copy()
         points[list(UPPER_LIDS)] = points[list(LOWER_LIDS)] - (0.0, gap * EYES_PX)
         return FacePoints(points, 0.9)
 
-    far = far_from_rest([*(eyed(0.12) for _ in range(5)), eyed(0.03), eyed(0.21)])
+    far = distance_from_neutral([*(eyed(0.12) for _ in range(5)), eyed(0.03), eyed(0.21)])
     assert far[5] > 2.5 and far[6] < 1
 
 
 def test_where_the_head_is_does_not_count_for_rest():
     faces = [face(gap) for gap in (0.02, 0.07, 0.3, 0.07)]
     turned = [faces[0], moved(faces[1], MOVEMENT), faces[2], moved(faces[3], MOVEMENT)]
-    assert_allclose(far_from_rest(turned), far_from_rest(faces), atol=1e-6)
+    assert_allclose(distance_from_neutral(turned), distance_from_neutral(faces), atol=1e-6)
 
 
 def test_without_a_face_nothing_is_near_rest():
-    assert_array_equal(far_from_rest([None, None]), [np.inf, np.inf])
+    assert_array_equal(distance_from_neutral([None, None]), [np.inf, np.inf])

@@ -112,8 +112,8 @@ def test_the_points_of_a_faceframe_come_in_order():
 @pytest.mark.parametrize(
     ("points", "said"),
     [
-        ([[20, 30], [np.nan, 30], [30, 44]], "not three finite points"),
-        ([[20, 30], [np.inf, 30], [30, 44]], "not three finite points"),
+        ([[20, 30], [np.nan, 30], [30, 44]], "expected three points"),
+        ([[20, 30], [np.inf, 30], [30, 44]], "expected three points"),
         ([[20, 30], [20, 30], [30, 44]], "both eyes at 20,30"),
     ],
 )

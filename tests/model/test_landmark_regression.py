@@ -84,7 +84,7 @@ def test_errors_are_told_by_group():
     assert set(errors) == {"all", *GROUPS}
     assert errors["inner lips"] > 5 > 10 * errors["lids"]
     assert LANDMARKS[landmark_places("inner lips")] == INNER_LIPS
-    with pytest.raises(BadInput, match="choose one of lids"):
+    with pytest.raises(BadInput, match="expected one of lids"):
         landmark_places("nose")
 
 

@@ -419,11 +419,9 @@ def test_a_part_of_the_face_hides_what_happens_elsewhere(work, model):
 
 def test_a_part_that_is_not_known_is_refused(work, model):
     given = table(work, "a", motion(), model), table(work, "b", motion(seed=1), model)
-    with pytest.raises(BadInput, match=r"no region 'ears': choose of whole, eyes, brows, mouth, nose"):
+    with pytest.raises(BadInput, match=r"region is 'ears'; expected one of whole, eyes, brows, mouth, nose"):
         measured(work, *given, region="ears")
-    with pytest.raises(
-        BadInput, match=r"no keypoints, so it is not known where its eyes is.*morphspace keypoints"
-    ):
+    with pytest.raises(BadInput, match=r"no keypoints; its region eyes needs them.*morphspace keypoints"):
         measured(work, *given, region="eyes")
 
 

@@ -1,7 +1,7 @@
-"""Finding a face and its points in an image, offline, with MediaPipe's three networks.
+"""Detect a face and its points in an image, offline, with MediaPipe's three networks.
 
-`morphspace models fetch` brings them once; nothing here goes to the network otherwise. `models` says which files they
-are and where they lie, `fetch` brings them, `detect` runs them.
+`morphspace models fetch` installs the networks once; nothing else here uses the internet. `models` names the files,
+`fetch` installs them, `detect` runs them.
 """
 
 from morphspace.face.detector.detect import Detector, Landmarks, detector_for, load_detector, own_detector

@@ -1,7 +1,7 @@
-"""From the numbers of MediaPipe's short-range face network to boxes in the image: anchors, decoding, suppression.
+"""Decode the output of MediaPipe's short-range face network into boxes in the image.
 
-Bazarevsky et al. 2019 (BlazeFace): each of 896 anchors on two grids gets a score, a box and six points relative to it;
-boxes that overlap are not dropped but averaged by their scores, which takes out most of the jitter (section 3.4).
+Each of 896 anchors on two grids has a score, a box and six points relative to it. Overlapping boxes are averaged by
+their scores instead of dropped, which removes most of the jitter (Bazarevsky et al. 2019, BlazeFace, section 3.4).
 """
 
 from __future__ import annotations
@@ -12,19 +12,26 @@ import numpy as np
 
 from morphspace.arrays import AnyArray, Points
 
-SIDE = 128  # px of the network's square input
+SIDE = 128  # px, of the network's square input
 GRIDS = ((16, 2), (8, 6))  # cells a side, anchors a cell
 RIGHT_EYE, LEFT_EYE = 0, 1  # of the six points; then nose tip, mouth, and the two ears
-CANDIDATE_SCORE = 0.5  # boxes below take no part in the average
-OVERLAP = 0.3  # intersection over union from which two boxes are of one face
-SCORE_LIMIT = 80.0  # of the raw score: the exponential of more overflows float32
+CANDIDATE_SCORE = 0.5  # score; boxes below are left out of the average
+OVERLAP = 0.3  # intersection over union above which two boxes show one face
+SCORE_LIMIT = 80.0  # raw score; the exponential of more overflows float32
 
 
 @dataclass(frozen=True, eq=False)
 class FaceBox:
-    """A face that was found: `corners` (2, 2) upper left and lower right | `marks` (6, 2) | `score` in [0, 1].
+    """A detected face, in px of the network's input or of the image.
 
-    Coordinates are those of whatever the box is told in: the network's px, or the image's.
+    Attributes
+    ----------
+    corners : array (2, 2) px
+        Upper left and lower right.
+    marks : array (6, 2) px
+        Eyes, nose tip, mouth, ears.
+    score : float
+        In [0, 1].
     """
 
     corners: Points
@@ -33,12 +40,12 @@ class FaceBox:
 
     @property
     def area(self) -> float:
-        """Width times height, 0 for a box turned inside out."""
+        """Width times height, 0 for a box with exchanged corners."""
         return float(np.prod(np.maximum(self.corners[1] - self.corners[0], 0)))
 
 
 def anchors() -> Points:
-    """Give the centres (896, 2) of the network's anchors, px of its input measured from the edge, row by row."""
+    """Return the centres (896, 2) of the network's anchors, px from the edge of its input, row by row."""
     found = []
     for cells, repeats in GRIDS:
         y, x = np.mgrid[:cells, :cells].reshape(2, -1)
@@ -47,16 +54,22 @@ def anchors() -> Points:
 
 
 def decode(scores: AnyArray, regressors: AnyArray) -> list[FaceBox]:
-    """Give the candidate boxes, px of the network's input, pixel centres at integers, best first.
+    """Decode the candidate boxes, px of the network's input with pixel centres at integers, best first.
 
-    `scores` (896,) raw, `regressors` (896, 16): box centre and size, then six points, all relative to the anchor. Boxes
-    without extent or with numbers that are not finite are left out.
+    Boxes without extent, or with numbers that are not finite, are left out.
+
+    Parameters
+    ----------
+    scores : array (896,)
+        Raw scores.
+    regressors : array (896, 16)
+        Box centre and size, then six points, all relative to the anchor.
     """
     raw = np.clip(scores.astype(np.float64).reshape(-1), -SCORE_LIMIT, SCORE_LIMIT)
     share = 1 / (1 + np.exp(-raw))
     pairs = regressors.astype(np.float64).reshape(len(raw), 8, 2)
     found = []
-    for index in np.flatnonzero(share >= CANDIDATE_SCORE):  # a score that is not a number is left out as well
+    for index in np.flatnonzero(share >= CANDIDATE_SCORE):  # NaN scores are left out as well
         anchor = _ANCHORS[index] - 0.5
         centre, size, marks = pairs[index, 0] + anchor, pairs[index, 1], pairs[index, 2:] + anchor
         if np.isfinite(pairs[index]).all() and (size > 0).all():
@@ -69,7 +82,16 @@ _ANCHORS = anchors()
 
 
 def overlap(a: FaceBox, b: FaceBox) -> float:
-    """Give the intersection of two boxes over their union, in [0, 1]."""
+    """Compute the intersection of two boxes over their union, in [0, 1].
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> one = FaceBox(np.array([[0.0, 0.0], [2.0, 2.0]]), np.zeros((6, 2)), 1.0)
+    >>> other = FaceBox(np.array([[1.0, 0.0], [3.0, 2.0]]), np.zeros((6, 2)), 1.0)
+    >>> round(overlap(one, other), 3)
+    0.333
+    """
     low, high = np.maximum(a.corners[0], b.corners[0]), np.minimum(a.corners[1], b.corners[1])
     shared = float(np.prod(np.maximum(high - low, 0)))
     union = a.area + b.area - shared
@@ -77,7 +99,7 @@ def overlap(a: FaceBox, b: FaceBox) -> float:
 
 
 def suppress(candidates: list[FaceBox]) -> list[FaceBox]:
-    """Give one box a face, best first: the mean, weighted by score, of all that overlap the best one left."""
+    """Return one box for each face, best first: the score-weighted mean of all boxes that overlap the best one."""
     left = sorted(candidates, key=lambda box: -box.score)
     faces = []
     while left:
@@ -92,6 +114,6 @@ def suppress(candidates: list[FaceBox]) -> list[FaceBox]:
 
 
 def main_face(faces: list[FaceBox], least_score: float) -> FaceBox | None:
-    """Give the face that matters: the largest, weighed by its score, of those that reach `least_score`; or None."""
+    """Return the face with the largest product of area and score among those that reach `least_score`, or None."""
     sure = [face for face in faces if face.score >= least_score]
     return max(sure, key=lambda face: face.area * face.score, default=None)

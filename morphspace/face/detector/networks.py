@@ -1,7 +1,7 @@
-"""The three networks in memory, lent to one thread at a time.
+"""The three networks in memory, one set per working thread.
 
-OpenCV keeps the layers' results inside a network, so two threads must not use one. Each borrows a set of three and
-gives it back; there are as many sets as threads ever asked at the same time (ours).
+OpenCV stores the layers' results inside a network, so two threads must not share one. Each thread borrows a set of
+three and returns it; there are as many sets as threads that ran at the same time (ours).
 """
 
 from __future__ import annotations
@@ -19,25 +19,25 @@ import numpy as np
 from morphspace.arrays import AnyArray, Image
 from morphspace.face.detector.models import FACE, FETCH_COMMAND, IRIS, MESH, MissingModels
 
-CLASSIC_ENGINE = 1  # OpenCV 5's other one loses all outputs of these networks but the last
+CLASSIC_ENGINE = 1  # OpenCV 5's other engine returns only the last output of these networks
 
 
 @dataclass(frozen=True, eq=False)
 class Network:
-    """One network and the names of its outputs, in the order in which `answer` gives them."""
+    """One network and the names of its outputs, in the order of `answer`."""
 
     net: Any
     outputs: tuple[str, ...]
 
     def answer(self, image: Image) -> tuple[AnyArray, ...]:
-        """Run the network on (side, side, 3) and give its outputs, flat float32."""
+        """Run the network on an image (side, side, 3); return its outputs as flat float32 arrays."""
         self.net.setInput(np.ascontiguousarray(image.transpose(2, 0, 1))[None])
         return tuple(np.array(output).reshape(-1) for output in self.net.forward(self.outputs))
 
 
 @dataclass(frozen=True, eq=False)
 class NetworkSet:
-    """The networks that find a face, its points, and an eye's points."""
+    """The networks that find a face, its points, and the points of an eye."""
 
     face: Network
     mesh: Network
@@ -46,14 +46,14 @@ class NetworkSet:
 
 @dataclass(frozen=True, eq=False)
 class NetworkPool:
-    """Sets of networks read from `folder`: one for each thread that is at work."""
+    """Sets of networks read from `folder`, one for each working thread."""
 
     folder: Path
     _idle: deque[NetworkSet] = field(default_factory=deque)
 
     @contextmanager
     def borrowed(self) -> Iterator[NetworkSet]:
-        """Lend a set for a block; read another where all are lent."""
+        """Lend a set for a block; read a new one if all are in use."""
         try:
             networks = self._idle.pop()
         except IndexError:
@@ -76,5 +76,5 @@ def _network(path: Path, outputs: tuple[str, ...]) -> Network:
         return Network(cv2.dnn.readNetFromTFLite(str(path), engine=CLASSIC_ENGINE), outputs)
     except cv2.error as error:
         raise MissingModels(
-            f"OpenCV {cv2.__version__} cannot read {path}: run `{FETCH_COMMAND}` again"
+            f"OpenCV {cv2.__version__} cannot read {path}; expected a TFLite network. Run `{FETCH_COMMAND}` again"
         ) from error
