@@ -376,7 +376,9 @@ def test_points_far_from_the_landmarks_are_said(model, saved):
     near = result_of(run(KeypointsRequest(saved, points=((21, 31), (41, 29), (30, 44)))))
     assert near.warnings == ()
     far = result_of(run(KeypointsRequest(saved, points=((20, 30), (55, 29), (30, 44)))))
-    assert "the left eye lies 0.7 eye distances from 41.0,29.0" in far.warnings[0]
+    assert (
+        "the left eye lies 0.7 eye distances from the model's landmark for it at 41.0,29.0" in far.warnings[0]
+    )
 
 
 def test_a_file_of_another_format_says_what_to_write(saved, command, tmp_path):
@@ -398,5 +400,5 @@ def test_a_marked_point_that_cannot_be_is_named_with_its_value():
 
 def test_a_model_that_is_not_there_or_a_folder_says_what_to_do(tmp_path, command):
     (tmp_path / "folder").mkdir()
-    assert "check the name" in command(tmp_path / "nowhere.morph").output
-    assert "it is a folder; name the file" in command(tmp_path / "folder").output
+    assert "Check the name" in command(tmp_path / "nowhere.morph").output
+    assert "it is a folder. Enter a file" in command(tmp_path / "folder").output
