@@ -112,8 +112,8 @@ def distance_from_neutral(found: Sequence[FacePoints | None]) -> AnyArray:
     lids closer than in the median face, and the points against the median face, rms without head movement.
     """
     far = np.full(len(found), np.inf)
-    seen = [index for index, face in enumerate(found) if face is not None]
-    if not seen:
+    with_face = [index for index, face in enumerate(found) if face is not None]
+    if not with_face:
         return far
     faces = [face for face in found if face is not None]
     shapes = np.array([_unmoved(face, faces[0]) for face in faces])
@@ -123,7 +123,7 @@ def distance_from_neutral(found: Sequence[FacePoints | None]) -> AnyArray:
     lids = np.array([one.lid_opening for one in measures])
     shut = np.maximum(np.median(lids) - lids, 0)
     steps = ((gaps - SLIGHTLY_OPEN) / OPEN_STEP, off / SHAPE_STEP, shut / LID_STEP)
-    far[seen] = np.sqrt(sum(step * step for step in steps))
+    far[with_face] = np.sqrt(sum(step * step for step in steps))
     return far
 
 

@@ -302,7 +302,7 @@ def detect_faceframe(model: MorphModel, detect: Detector, *, faces: int = FACES)
     """
     training = model.training.values
     rows = [np.zeros(model.rank), *(training[index] for index in spread(len(training), faces))]
-    carried, seen, detected_loadings = [], [], []
+    carried, detected_points, detected_loadings = [], [], []
     for number, loadings in enumerate(rows):
         morph = model.expand(loadings)
         inverse = warp.invert(morph.displacement)
@@ -311,7 +311,7 @@ def detect_faceframe(model: MorphModel, detect: Detector, *, faces: int = FACES)
         if found is not None:
             carried.append(warp.move_points(inverse, np.vstack([found.faceframe().points, found.points])))
             if number > 0:
-                seen.append(found.points)
+                detected_points.append(found.points)
                 detected_loadings.append(loadings)
         yield Step("keypoints", number + 1, len(rows))
     if len(carried) < max(LEAST_FOUND, len(rows) / 2):
@@ -324,9 +324,9 @@ def detect_faceframe(model: MorphModel, detect: Detector, *, faces: int = FACES)
     spread_px = np.median(np.hypot(*np.moveaxis(stack - points, -1, 0)), axis=0)
     faceframe, _ = checked_faceframe(points[:3], model.size, "the detector")
     learned = None
-    if points[3:].shape == (POINT_COUNT, 2) and len(seen) >= LEAST_FACES and model.rank > 0:
+    if points[3:].shape == (POINT_COUNT, 2) and len(detected_points) >= LEAST_FACES and model.rank > 0:
         by_warp = moved_by_components(model, points[3:])
-        learned = learn_landmarks(np.array(detected_loadings), np.array(seen), model.sd, by_warp)
+        learned = learn_landmarks(np.array(detected_loadings), np.array(detected_points), model.sd, by_warp)
     return DetectedFaceframe(faceframe, spread_px[:3], points[3:], len(rows), len(carried), learned)
 
 

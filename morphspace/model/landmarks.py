@@ -127,12 +127,12 @@ def learn_landmarks(
         raise BadInput(
             f"landmarks were found in {count} faces; expected at least {LEAST_FACES}. Give more frames"
         )
-    seen = points[:, LANDMARKS].reshape(count, -1)
+    targets = points[:, LANDMARKS].reshape(count, -1)
     by_warp = warp_weights[:, LANDMARKS].reshape(rank, -1)
     design = np.column_stack([np.ones(count), loadings / np.where(sd > 0, sd, 1.0)])
-    beyond_warp = seen - loadings @ by_warp
+    beyond_warp = targets - loadings @ by_warp
     tried = [
-        (ridge, follows_warp, *_ridge(design, beyond_warp if follows_warp else seen, ridge))
+        (ridge, follows_warp, *_ridge(design, beyond_warp if follows_warp else targets, ridge))
         for follows_warp in (True, False)
         for ridge in RIDGES
     ]

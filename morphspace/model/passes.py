@@ -266,7 +266,7 @@ def _nearest(face: FacePoints | None) -> str:
     if face is None:
         return "its mouth is nearest to half open"
     return (
-        "its face is nearest to neutral with the lips slightly apart (their gap is "
+        "its face is nearest to rest with the lips slightly apart (their gap is "
         f"{expression_of(face).mouth_opening:.2f} eye distances)"
     )
 

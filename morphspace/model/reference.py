@@ -136,7 +136,7 @@ def _missing(reference: Image, frame: Image, mask: Mask) -> float:
         tuple(np.ascontiguousarray(one[:, ::-1]) for one in (reference, frame, mask)),
     )
     missed = sorted(
-        photometric_error(one, other, smoothed(dis_medium(one, other)), seen) for one, other, seen in both
+        photometric_error(one, other, smoothed(dis_medium(one, other)), inside) for one, other, inside in both
     )
     return sum(missed) / 2
 

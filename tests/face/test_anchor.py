@@ -31,7 +31,7 @@ def held_to(found, reference=None):
 
 
 def still(frame, start=None):
-    """A flow that finds nothing, and is sure of it."""
+    """A flow without displacement, of full confidence."""
     return Flow(np.zeros((HEIGHT, WIDTH, 2), np.float32), np.full((HEIGHT, WIDTH), 0.75, np.float32))
 
 
@@ -155,7 +155,7 @@ def test_a_model_reads_new_frames_as_its_build_did_where_the_networks_are(model,
         held.anchor, detector=Detector(lambda image: asked.append(image), {"version": 1})
     )
     known = held.align(np.array(model.reference), "some", detector.find(model.reference))
-    assert_array_equal(known.image, frame.image)  # bytes: what was found before is not looked for again
+    assert_array_equal(known.image, frame.image)  # bytes; a known face is not detected again
     assert not asked
     moved = Detector(lambda image: FacePoints(points() + 2.0, 0.9), {"version": 1})
     plain = model.flow_from_reference(model.reference, None)

@@ -34,7 +34,7 @@ def box(x, y, size, score):
 
 
 def ramp(width, height):
-    """A picture whose red is x and whose green is y, in px / 1000, so that a crop tells where it was cut."""
+    """A picture whose red is x and whose green is y, in px / 1000, so that a crop's colours reveal its position."""
     y, x = np.mgrid[:height, :width].astype(np.float32)
     return np.stack([x, y, 0 * x], axis=-1) / 1000
 
@@ -207,7 +207,7 @@ def face(detector, portrait):
 
 
 def apart(one: FacePoints, other: FacePoints):
-    """How far the points are apart, rms, in % of the distance between the eyes."""
+    """The rms distance of two sets of points, in % of the eye distance."""
     return 100 * np.sqrt(np.mean((one.points - other.points) ** 2) * 2) / one.interocular_px
 
 

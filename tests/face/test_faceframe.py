@@ -117,6 +117,6 @@ def test_the_points_of_a_faceframe_come_in_order():
         ([[20, 30], [20, 30], [30, 44]], "both eyes at 20,30"),
     ],
 )
-def test_a_faceframe_that_places_no_face_is_refused_where_it_is_made(points, said):
+def test_a_faceframe_of_no_face_is_refused_by_its_constructor(points, said):
     with pytest.raises(BadInput, match=said):
         FaceFrame.at(np.array(points, np.float64))

@@ -88,7 +88,7 @@ def test_points_that_do_not_fit_the_scheme_are_refused():
         FacePoints(np.full((478, 2), np.nan), 0.9)
 
 
-def test_what_a_scheme_or_depth_cannot_tell_is_said():
+def test_measures_without_their_scheme_or_depth_are_refused():
     with pytest.raises(BadInput, match="no depth"):
         _ = FacePoints(np.zeros((478, 2)), 0.9).turn_degrees
     with pytest.raises(BadInput, match="ibug-68"):

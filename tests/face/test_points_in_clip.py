@@ -23,7 +23,7 @@ HEIGHT, WIDTH = 72, 60
 
 
 def neutral_points():
-    """Points of a face where a cropped face stands in a frame of 60 x 72 px."""
+    """Points of a face at the usual position in a cropped frame of 60 x 72 px."""
     points = np.random.default_rng(6).uniform((12, 20), (48, 60), (POINT_COUNT, 2))
     for lids, x in ((RIGHT_LIDS, 21.0), (LEFT_LIDS, 39.0)):
         points[list(lids)] += np.array([x, 30.0]) - points[list(lids)].mean(axis=0)
@@ -36,7 +36,7 @@ def neutral_points():
 
 
 class Looking:
-    """A detector that finds the same points in every picture but those it is told to miss; it counts its calls."""
+    """A detector that finds the same points in every picture except the missed ones, and counts its calls."""
 
     def __init__(self, miss=()):
         self.miss, self.calls = [digest_of_array(picture) for picture in miss], 0
@@ -126,7 +126,7 @@ def test_a_clip_in_which_no_face_is_found_is_built_as_without(clip, tmp_path):
     assert not build.faces_found.any() and plain.faces_found is None
 
 
-def test_what_was_given_wins_over_what_was_found(clip, tmp_path):
+def test_a_given_mask_overrides_that_of_the_detected_face(clip, tmp_path):
     mask = np.zeros((HEIGHT, WIDTH), np.float32)
     mask[20:60, 15:45] = 1
     model = built(clip, tmp_path / "with", replace(SETTINGS, mask=mask)).model

@@ -77,7 +77,7 @@ def part(name, landmarks=None):
     return region_mask(name, *SIZE, FRAME, landmarks)
 
 
-def test_the_halves_of_a_face_make_it_whole_and_parts_join():
+def test_the_halves_of_a_face_add_up_to_one_and_parts_join():
     masks = {name: part(name) for name in REGIONS}
     assert_allclose(masks["upper"] + masks["lower"], 1, atol=1e-6)
     assert_array_equal(part("eyes+mouth"), np.maximum(masks["eyes"], masks["mouth"]))

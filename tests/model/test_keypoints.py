@@ -38,7 +38,7 @@ SIZE = (60, 72)
 
 
 class Seen:
-    """What a detector of the tests finds: three points."""
+    """A detection of three points."""
 
     def __init__(self, points):
         self.points = points
@@ -115,7 +115,7 @@ def test_models_are_linked_only_where_both_mark_the_same_points(model):
 # checking
 
 
-def test_exchanged_eyes_are_put_right_and_said():
+def test_exchanged_eyes_are_put_in_order_with_a_note():
     found, notes = checked_faceframe(POINTS[[1, 0, 2]], SIZE, "given")
     assert_array_equal(found.points, POINTS)
     assert "exchanged" in notes[0]
@@ -157,7 +157,7 @@ def test_points_of_the_reference_picture_are_cropped_and_scaled_as_the_frames_we
 
 
 def followed(model, faces):
-    """A detector that knows where the points of each training face went, by the face's picture."""
+    """A detector that looks up the true points of each training face by its picture."""
     known = [(np.clip(model.mean.render(), 0, 1), model.mean)]
     for row in model.training.values:
         morph = model.expand(row)
@@ -203,7 +203,7 @@ def test_the_spread_is_what_the_detector_scatters_by(model):
     assert_allclose(found.faceframe.points, POINTS, atol=1.2)
 
 
-def test_no_more_faces_are_looked_at_than_asked(model):
+def test_detection_uses_at_most_the_given_number_of_faces(model):
     faces = []
     result_of(detect_faceframe(model, followed(model, faces), faces=5))
     assert len(faces) == 6
@@ -265,7 +265,7 @@ def test_found_keypoints_say_where_they_came_from(model, saved):
     assert any("13 of 13" in line for line in outcome.lines) and outcome.warnings == ()
 
 
-def test_detections_that_contradict_each_other_are_told(model, saved):
+def test_detections_that_contradict_each_other_give_a_note(model, saved):
     detect, rng = followed(model, []), np.random.default_rng(2)
     unsure = lambda image: Seen(detect(image).points + rng.normal(0, 2, (3, 2)))  # noqa: E731
     outcome = result_of(run(KeypointsRequest(saved, automatic=True), unsure))
@@ -287,7 +287,7 @@ def test_a_file_is_read_carried_and_recorded(saved, tmp_path):
     assert "negative" in outcome.warnings[0]
 
 
-def test_without_a_source_the_present_points_are_shown_and_nothing_is_written(saved, command):
+def test_without_a_source_the_points_are_printed_and_nothing_is_written(saved, command):
     before = saved.read_bytes()
     assert "no keypoints are set" in command(saved).output
     command(saved, "--set", "20,30 41,29 30,44")
@@ -364,8 +364,8 @@ def test_what_is_advised_helps(saved, command, tmp_path, name, points, words, ad
         assert command(saved, *given).exit_code == 0
 
 
-def test_points_far_from_the_landmarks_are_said(model, saved):
-    """The landmarks of the model stay where they are when the keypoints are set by hand."""
+def test_points_far_from_the_landmarks_give_a_warning(model, saved):
+    """Keypoints set by hand do not move the model's landmarks."""
     count = len(LANDMARKS)
     mean = np.tile([30.0, 46.0], (count, 1))
     for group, at in ((RIGHT_LIDS, FRAME.right_eye), (LEFT_LIDS, FRAME.left_eye)):

@@ -56,7 +56,7 @@ def test_a_warp_that_knows_the_points_is_followed():
 
 
 def test_the_error_is_that_of_faces_left_out():
-    """The closed form against learning FACES times without one face, with the ridge that was chosen."""
+    """The closed form equals FACES regressions without one face each, with the chosen ridge."""
     loadings, _, points = drawn(noise_px=3.0)
     learned = learn_landmarks(loadings, points, SD, NOTHING)
     seen, design = points[:, LANDMARKS].reshape(FACES, -1), np.column_stack([np.ones(FACES), loadings / SD])
@@ -77,7 +77,7 @@ def test_more_noise_holds_the_regression_back_more():
     assert quiet.ridge < loud.ridge
 
 
-def test_errors_are_told_by_group():
+def test_errors_are_listed_by_group():
     loadings, _, points = drawn()
     points[:, INNER_LIPS] += 5 * np.random.default_rng(4).standard_normal((FACES, len(INNER_LIPS), 2))
     errors = learn_landmarks(loadings, points, SD, NOTHING).errors()
@@ -114,7 +114,7 @@ def test_what_cannot_be_learned_from_is_refused():
 
 
 class Mesh:
-    """What a detector of the tests finds: 478 points."""
+    """A detection of 478 points."""
 
     def __init__(self, points):
         self.points = points
@@ -124,7 +124,7 @@ class Mesh:
 
 
 def mesh_of(model):
-    """A detector whose points ride on the warp of the training faces, by the face's picture."""
+    """A detector whose points follow the warp of each training face, looked up by its picture."""
     height, width = model.mask.shape
     rng = np.random.default_rng(0)
     rest = rng.uniform((8, 8), (width - 8, height - 8), (POINT_COUNT, 2))

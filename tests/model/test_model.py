@@ -45,7 +45,7 @@ def test_loadings_that_do_not_fit_are_refused(model, values):
         model.render(values)
 
 
-def test_project_gives_back_what_expand_was_given(model):
+def test_project_inverts_expand(model):
     values = np.array([0.7, -0.4, 0.2])
     assert_allclose(model.project(model.expand(values)), values, atol=1e-4)
 
@@ -89,7 +89,7 @@ def test_a_rendered_face_is_encoded_as_itself(model):
     )  # SD; opening and smile share pixels
 
 
-def test_a_model_whose_flow_is_gone_still_renders_but_does_not_encode(model):
+def test_a_model_of_a_removed_flow_method_renders_but_does_not_encode(model):
     old = replace(model, flow="dis-medium")
     image = old.render(np.zeros(3))
     assert_array_equal(image, model.render(np.zeros(3)))

@@ -219,7 +219,7 @@ def test_a_mirrored_mean_shape_is_refused_though_it_has_an_inverse(axis):
 
 
 def test_a_mean_shape_may_fold_in_few_cells_and_no_more():
-    """Whole columns of cells turned over: just under the share that is allowed, and just over."""
+    """Whole columns of cells fold: just below the limit, and just above."""
     width = 120
     for columns, allowed in ((2, True), (3, False)):
         field = np.zeros((HEIGHT, width, 2), np.float32)

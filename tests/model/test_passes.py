@@ -41,7 +41,7 @@ def work(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def build(clip, work):
-    """A build with everything chosen by itself; its work folder is `work`."""
+    """A build with default settings; its work folder is `work`."""
     return built(clip, work, replace(PLAIN, reference=None, warp_weight=None, registration="similarity"))
 
 
@@ -54,7 +54,7 @@ def no_flow(reference):
 
 @pytest.fixture
 def counted(monkeypatch):
-    """The number of flows computed by "dis", as a list that grows."""
+    """A list that grows by one for each flow computed by "dis"."""
     calls = []
     original = methods.METHODS["dis"]
 
@@ -229,7 +229,7 @@ def test_a_faceframe_may_be_marked_on_any_frame(waving, tmp_path, index):
     assert_allclose(result.model.faceframe.points, expected, atol=0.3)  # px; two flows
 
 
-def test_a_faceframe_marked_on_a_frame_whose_head_moved_is_brought_back(picture, make_clip, tmp_path):
+def test_a_faceframe_on_a_frame_with_a_moved_head_is_carried_to_the_reference(picture, make_clip, tmp_path):
     canvas = picture(140, 120, seed=6, sd_px=2.0)
     shifts = [(0, 0), (4, -3), (-3, 2)]
     frames = [np.ascontiguousarray(canvas[22 - y : 118 - y, 20 - x : 100 - x]) for x, y in shifts]
@@ -312,7 +312,7 @@ def test_a_build_that_was_stopped_goes_on_to_the_same_bytes(clip, tmp_path, coun
     assert len(counted) == 2 * once  # none of it twice
 
 
-def test_a_build_whose_flow_failed_goes_on_to_the_same_bytes(clip, tmp_path, monkeypatch):
+def test_a_build_continued_after_a_failed_flow_has_the_same_bytes(clip, tmp_path, monkeypatch):
     whole = bytes_of(built(clip, tmp_path / "whole"), tmp_path)
     original = methods.METHODS["dis"]
     left = [4]

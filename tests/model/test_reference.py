@@ -32,7 +32,7 @@ TINT = (
 
 
 def tinted(amounts):
-    """Grey pictures (h, w, 3), one for each row of amounts (n, k) in [-0.45, 0.45]: k upright strips so tinted."""
+    """Grey pictures (h, w, 3) with k vertical strips, brightened by each row of amounts (n, k) in [-0.45, 0.45]."""
     pictures = []
     for row in np.atleast_2d(amounts):
         strips = np.repeat(row, STRIP_PX)
@@ -42,7 +42,7 @@ def tinted(amounts):
 
 
 def distances(amounts):
-    """What each picture of `tinted` misses of each other, (n, n): nothing moves, so it is the colour difference."""
+    """The photometric error (n, n) between pictures of `tinted`: the colour difference, as nothing moves."""
     square = np.square(amounts[:, None] - amounts[None]).mean(axis=2)
     return np.sqrt(square * np.square(TINT).mean())
 
@@ -61,7 +61,7 @@ def small_frames(images, contrasts, mask=None):
 
 
 def errors_in(images, mask=None):
-    """The error of each image by its place; there are few enough for all to be tried."""
+    """The error of each image by its place; all are candidates."""
     assert len(images) <= TARGETS
     _, errors = found_in(images, np.linspace(0, 1, len(images)), mask)
     return np.array([errors[place] for place in range(len(images))])
@@ -231,7 +231,7 @@ def test_the_middle_of_a_movement_reaches_its_ends_better_than_they_each_other(p
 
 
 def equally_far(longer=1.0):
-    """Amounts (TARGETS, TARGETS): each picture has a strip of its own, so all are equally far; one farther, place 6."""
+    """Amounts (TARGETS, TARGETS): each picture has its own strip, so all distances are equal, but for place 6."""
     amounts = 0.2 * np.eye(TARGETS)
     amounts[6] *= longer
     return amounts

@@ -48,7 +48,7 @@ def trials_of(clip, components=50, count=None, held=None):
 
 
 def loader(clip, held=None):
-    """Gives the picture of a frame by its name; the index of each that was asked for is appended to `held`."""
+    """Return the picture of a frame by its name; append its index to `held`."""
 
     def load(path):
         index = clip.names.index(str(path))

@@ -35,7 +35,7 @@ def bytes_of(build, folder):
 
 @pytest.fixture
 def calls(clip, monkeypatch):
-    """Let the flow "drawn" give the true fields, but for lost frames; tells what it was asked: (frame, started)."""
+    """Make the flow "drawn" return the true fields, except for lost frames; record its calls (frame, started)."""
     asked = []
     index_of = {digest_of_array(image): index for index, image in enumerate(clip.pictures)}
 
@@ -102,7 +102,7 @@ def test_a_change_of_the_flow_makes_the_frames_again(clip, calls, tmp_path, monk
 
 @pytest.fixture(autouse=True)
 def flow_as_it_is_found(monkeypatch):
-    """Leave out the smoothing of fields for morphs, which has its own tests: here fields are followed bit by bit."""
+    """Disable the smoothing of fields for morphs, so that fields compare bit by bit."""
     monkeypatch.setattr(methods, "for_morphs", methods.named)
 
 

@@ -28,7 +28,7 @@ EXPRESSIONS = (
 
 @pytest.fixture(scope="module")
 def figures(drawn_anna, drawn_ben):
-    """Give the figures of a method: Ben drives Anna with expressions that neither model was made of, mean over them."""
+    """Compute a method's mean figures: Ben drives Anna with expressions outside both models."""
     source, target = drawn_ben.model, drawn_anna.model
     offsets = [drawn_ben.face(**actions) - source.mean for actions in EXPRESSIONS]
     eyes_px = float(np.hypot(*np.subtract(target.faceframe.left_eye, target.faceframe.right_eye)))

@@ -28,7 +28,7 @@ def person(model, request):
 
 
 def own(model, loadings):
-    """The texture of loadings as the components have it, relative to the mean's."""
+    """The texture offset of loadings by the components alone."""
     return model.offset(loadings).texture
 
 
@@ -42,7 +42,7 @@ def test_the_mean_face_keeps_its_own_colours(person):
     assert_allclose(MixedColours(person).change(np.zeros(person.rank)), 0, atol=1e-7)
 
 
-def test_no_colour_lies_beyond_those_that_were_shown(person):
+def test_colours_stay_within_those_of_the_training_faces(person):
     texturing = MixedColours(person)
     shown = np.stack([np.zeros_like(person.mean.texture), *(own(person, row) for row in texturing.faces)])
     least, most = shown.min(axis=0) - 1e-5, shown.max(axis=0) + 1e-5
@@ -55,7 +55,7 @@ def test_no_colour_lies_beyond_those_that_were_shown(person):
 
 
 def test_colours_follow_the_loadings_without_a_jump(person):
-    """Steps a quarter as long change a quarter as much: a jump would stay as it is."""
+    """Steps of a quarter length change the colours by a quarter; a jump would not shrink."""
     texturing = MixedColours(person)
     one, other = 1.7 * person.training.values[2], 1.7 * person.training.values[7]
 
@@ -73,7 +73,7 @@ def test_the_warp_stays_that_of_the_loadings(person):
 
 
 def test_parts_share_every_pixel_between_them(person):
-    """What the parts hold of each component adds up to that component."""
+    """The parts of each component add up to that component."""
     total = np.zeros((person.rank, person.mask.size, 3))
     for part in MixedColours(person).parts:
         total[:, part.places] += part.colours.reshape(person.rank, -1, 3)
@@ -101,7 +101,7 @@ def test_the_picture_is_the_sum_of_its_parts(person):
 
 @pytest.mark.parametrize("person", ["by landmarks"], indirect=True)
 def test_the_mouth_is_chosen_by_lips_and_the_eyes_by_lids(person):
-    """Two loadings: one moves the lips alone, the other the lids. Each part asks for what moves in it."""
+    """Two loadings: one moves the lips, the other the lids. Each part compares its own features."""
     weights = np.zeros_like(person.landmarks.weights)
     for component, groups in ((0, ("outer lips", "inner lips")), (1, ("lids", "brows"))):
         for group in groups:

@@ -34,7 +34,7 @@ SEEDS = {"anna": 4, "ben": 9}
 
 
 def performance(seed):
-    """Expressions (n): at rest, then jaw, corners of the mouth, brows and lids at random; left and right differ."""
+    """Expressions (n): neutral first, then random jaw, mouth corners, brows and lids; left and right differ."""
     rng = np.random.default_rng(seed)
     yield Expression()
     for amounts in rng.uniform(0.0, 0.8, (FRAMES - 1, 5)):
@@ -62,7 +62,7 @@ def drawn():
 
 @pytest.fixture(scope="module")
 def built(drawn, tmp_path_factory):
-    """Give the function that builds the model of an actor, each once: as drawn, mirrored, or scaled."""
+    """Return the function that builds an actor's model once: as drawn, mirrored, or scaled."""
     models = {}
 
     def build(name, how="drawn"):
@@ -115,7 +115,7 @@ def mirrored_offset(offset):
 
 
 def mirrored_model(model):
-    """The model seen in a mirror, by algebra: nothing is built."""
+    """The mirrored model, by algebra, without a build."""
     height, width = model.mask.shape
 
     def flipped(vector):
@@ -165,7 +165,7 @@ def inside_db(target, one, other):
 
 @pytest.mark.parametrize("method", UNGUIDED)
 def test_a_mirrored_actor_gives_mirrored_mimicry(built, method):
-    """As far as two flows of the same picture are equal: a face of the wrong side comes to 43 dB, the mean to 22."""
+    """The limit is that of two flows of one picture; a face of the wrong side reaches 43 dB, the mean 22."""
     source, target = built("anna"), built("ben")
     made = faces(source, target, method)
     there = faces(built("anna", "mirrored"), built("ben", "mirrored"), method)
@@ -196,7 +196,7 @@ def test_two_equal_models_may_change_places(built, method):
 
 @pytest.mark.parametrize("method", UNGUIDED)
 def test_mimic_of_oneself_is_reconstruction(built, method):
-    """Exact for inner products; the prior of the others draws towards the mean by what it does not trust."""
+    """Exact for inner products; the prior of the other methods shrinks towards the mean."""
     anna = built("anna")
     made = faces(anna, anna, method, max_sd=1e3)
     own = [anna.render(row) for row in anna.training.values]
@@ -214,7 +214,7 @@ def test_gain_0_is_the_mean_whatever_drives(built, method):
 
 
 def test_models_of_other_sizes_are_resampled(built):
-    """Carried to a model of another size a displacement keeps its length in eye distances."""
+    """A displacement carried to a model of another size keeps its length in eye distances."""
     small, large = built("anna"), built("anna", "scaled")
     offset = small.offset(small.training.values[2])
     made = mimic(small, large, "map", max_sd=1e3)(offset)
@@ -235,7 +235,7 @@ def test_models_of_other_sizes_are_resampled(built):
         (((35.0, 55.0), (63.0, float("nan")), (49.0, 79.0)), "not finite"),
     ],
 )
-def test_a_degenerate_faceframe_is_refused_whoever_has_it(built, points, words):
+def test_a_degenerate_faceframe_of_either_model_is_refused(built, points, words):
     anna, ben = built("anna"), built("ben")
     bad = replace(anna, faceframe=FaceFrame(*points))
     for source, target in ((bad, ben), (ben, bad)):

@@ -37,7 +37,7 @@ def person(model):
 
 
 def turned(model, degrees, scale=1.0):
-    """The model with its faceframe turned and scaled about the eyes: as if its face stood so in the picture."""
+    """The model with its faceframe rotated and scaled about the eyes."""
     angle = np.radians(degrees)
     linear = scale * np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
     points = (FRAME.points - FRAME.points.mean(0)) @ linear.T + FRAME.points.mean(0)
@@ -78,8 +78,8 @@ def test_gain_scales_the_loadings(person, method):
 
 @pytest.mark.parametrize("method", METHODS)
 @pytest.mark.parametrize("rests", [False, True])
-def test_a_face_whose_loadings_are_known_is_the_same(person, method, rests):
-    """They spare reading the source's components; nothing else follows from them."""
+def test_known_loadings_do_not_change_the_face(person, method, rests):
+    """Known loadings save a projection and change nothing else."""
     person = replace(
         person, basis=replace(person.basis, discarded_variance=1e-3)
     )  # or landmarks hardly count
@@ -121,7 +121,7 @@ def test_the_papers_equation_is_the_mimicry_by_paper(person, degrees, scale):
 
 @pytest.mark.parametrize(("degrees", "scale"), [(0.0, 1.0), (20.0, 1.0), (0.0, 1.2), (-15.0, 0.8)])
 def test_displacements_turn_and_scale_with_the_face(person, wavy_field, degrees, scale):
-    """A point of the source and its fellow on the target move alike: u_B(G p) = L u_A(p) (methods 5, step 2)."""
+    """Corresponding points move alike: u_B(G p) = L u_A(p)."""
     target, linear = turned(person, degrees, scale)
     height, width = person.mask.shape
     field = wavy_field(height, width, 3.0, seed=4, sd_px=10.0)
@@ -167,7 +167,7 @@ def test_the_bound_keeps_order_and_small_loadings():
 
 
 @pytest.mark.parametrize("method", METHODS)
-def test_no_component_goes_beyond_the_bound_and_it_is_told(person, method):
+def test_no_component_exceeds_the_bound_and_the_quality_counts_them(person, method):
     wild = person.offset(30 * person.sd)
     made = mimic(person, person, method, max_sd=2.0)(wild)
     assert np.abs(made.loadings / person.sd).max() <= 2.0
@@ -182,7 +182,7 @@ def test_the_automatic_gain_undoes_a_muted_target(person):
     assert auto_gain(person, muted, "paper") > 1.01
 
 
-def test_what_cannot_be_driven_is_refused(model, person):
+def test_models_and_settings_that_cannot_mimic_are_refused(model, person):
     with pytest.raises(BadInput, match="morphspace keypoints"):
         mimic(model, person)
     with pytest.raises(BadInput, match="expected one of paper, map, transfer, guided"):
@@ -228,7 +228,7 @@ def test_landmarks_that_err_more_count_less(person):
 
 
 def test_what_only_the_landmarks_tell_reaches_the_target(person):
-    """A source whose components say nothing of a motion the target has: its landmarks ask for it all the same."""
+    """The source's warp lacks a motion of the target; its landmarks request it."""
     told = replace(
         person, basis=replace(person.basis, discarded_variance=1e-3)
     )  # another person's face differs

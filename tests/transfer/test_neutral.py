@@ -57,7 +57,7 @@ def test_like_means_are_left_alone(model):
 
 
 def test_an_open_mean_is_reached_by_the_frame_that_opens_as_far(model):
-    """The target's mean is what the source looks like in one frame: that frame becomes the source's rest."""
+    """One frame of the source equals the target's mean; it becomes the source's neutral frame."""
     from morphspace.grid import warp
 
     source = marked(model)
@@ -114,7 +114,7 @@ def test_lips_that_are_apart_by_a_sixteenth_of_the_eye_distance_are_too_far_apar
 
 @pytest.mark.parametrize(("nearer", "recentred"), [(0.10, False), (0.20, True)])
 def test_a_frame_must_come_nearer_by_fifteen_hundredths(model, nearer, recentred):
-    """WORTHWHILE: the nearest frame takes `nearer` off the distance of the means."""
+    """WORTHWHILE: the nearest frame reduces the means' distance by `nearer`."""
     source, target = marked(model), marked(model, 4.0)
 
     def with_one_frame(amount):

@@ -19,7 +19,7 @@ def person(model):
 
 
 def added(person, missing, seen=1.0):
-    """What is added to the still mean face."""
+    """The motion that is added to the mean face."""
     height, width = person.mask.shape
     still = Morph.of(person.mean.texture, np.zeros((height, width, 2), np.float32), person.mean.reference_id)
     field = np.broadcast_to(np.float32(missing), (height, width, 2)).astype(np.float32)

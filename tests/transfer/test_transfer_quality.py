@@ -39,7 +39,7 @@ def beyond(source, target, sd, gain=1.0, neutral=None):
     return reach_of(source, target, gain, neutral)(offset, made.morph, made.loadings, loadings).opening_beyond
 
 
-def test_it_is_what_was_asked_less_the_widest_that_was_shown(talker):
+def test_opening_beyond_is_the_requested_opening_minus_the_widest(talker):
     most = (talker.training.values[:, 0] / talker.sd[0]).max()
     for sd in (-1.0, 0.5, most, most + 2):
         assert beyond(talker, talker, sd) == pytest.approx((sd - most) * PER_SD_PX / EYES_PX, abs=1e-4)

@@ -260,9 +260,9 @@ def _with_irises(network: Network, image: Image, points: Points, depth: AnyArray
         crop = eye.crop(points)
         contour, iris = network.answer(crop.cut(image))
         meshed = points[list(eye.lids)]
-        seen = crop.in_image(contour.reshape(-1, 3)[list(LID_ORDER), :2].astype(np.float64))
+        lids = crop.in_image(contour.reshape(-1, 3)[list(LID_ORDER), :2].astype(np.float64))
         line = np.array([np.cos(crop.turn_rad), np.sin(crop.turn_rad)])
-        points[list(eye.lids)] = seen + MESH_SHARE * np.outer((meshed - seen) @ line, line)
+        points[list(eye.lids)] = lids + MESH_SHARE * np.outer((meshed - lids) @ line, line)
         points[list(eye.iris)] = crop.in_image(iris.reshape(-1, 3)[:, :2].astype(np.float64))
         depth[list(eye.iris)] = depth[list(eye.lids)].mean()
     return points, depth
