@@ -352,13 +352,13 @@ def test_a_stopped_build_goes_on_and_gives_the_same_bytes(tmp_path: Path):
     ]
     started = subprocess.Popen(words, stderr=subprocess.PIPE, text=True, cwd=ROOT)
     patience = time.monotonic() + 60  # s; far more than the first frames need, so that a hang ends
-    while len(list(work.glob("*.frame"))) < 5 and time.monotonic() < patience:
+    while len(list(work.glob("*.kept"))) < 5 and time.monotonic() < patience:
         time.sleep(0.02)
     started.send_signal(signal.SIGTERM)  # ends it as Ctrl-C does, and no shell ignores it for its jobs
     _, told = started.communicate()
     assert started.returncode == 130, told
     assert told.strip().splitlines()[-1].startswith("morphspace: stopped")
-    kept = {path: path.stat().st_mtime_ns for path in work.glob("*.frame")}
+    kept = {path: path.stat().st_mtime_ns for path in work.glob("*.kept")}
     assert 5 <= len(kept) < 30 and not out.exists()
     assert run(*words[3:]).exit_code == 0
     assert {path: path.stat().st_mtime_ns for path in kept} == kept
