@@ -1,5 +1,5 @@
-"""Files in and out: stills, video, clips and tables.
+"""Read and write files: images, video, clips, tables, recipes and their sidecars.
 
-Nothing here knows faces or models. What comes in is checked at this border and named when it is unfit; what
-goes out appears whole under its name or not at all. The formats are written down in `data_spec/`.
+These modules know neither faces nor models. Input is checked here, and messages name the file. Output files are
+written completely or not at all. `data_spec/` describes the formats.
 """

@@ -1,7 +1,7 @@
-"""Clips: a folder, a glob, a list of files or a video, all seen as one row of frames of one size (ours).
+"""Clips: a folder, a glob pattern, several image files or a video, read as a sequence of frames of one size (ours).
 
-Opening reads names and headers only; pictures are decoded one at a time when asked for. The layout of a clip
-folder is `data_spec/clip-folder.md`.
+`open_clip` reads names and headers only; images are decoded one at a time. `data_spec/clip-folder.md` describes the
+layout of a clip folder.
 """
 
 from __future__ import annotations
@@ -22,18 +22,26 @@ from morphspace.storage import digest_of_bytes, digest_of_file
 
 IMAGE_SUFFIXES = (".png", ".tif", ".tiff", ".jpg", ".jpeg", ".exr", ".bmp", ".webp")
 VIDEO_SUFFIXES = (".mp4", ".mov", ".mkv", ".avi", ".webm", ".m4v", ".mpg", ".mpeg")
-FRAMES_FOLDER = "frames"  # NAME/frames/*.jpg is the clip NAME
+FRAMES_FOLDER = "frames"  # NAME/frames/*.jpg are the images of the clip NAME
 SIDECAR_NAME = "clip.json"
-LISTED_SIZES = 5  # distinct sizes a message names before it stops
+LISTED_SIZES = 5  # sizes; a message lists no more
 
 
 @dataclass(frozen=True, eq=False)
 class Clip:
-    """A row of frames of one size.
+    """A sequence of frames of one size, made by `open_clip`.
 
-    `frame_names` are unique: the file names without suffix, or for a video its name and the frame number from
-    0. `size` is (width, height) px. `paths` holds one file a frame; for a video that is the same file each
-    time and `video_indices` tells which frame of it, else `video_indices` is None. Made by `open_clip`.
+    Attributes
+    ----------
+    name : str
+    frame_names : tuple of n str, unique
+        File names without suffix. For a video: its name and the frame number, from 0.
+    size : (width, height) px
+    sidecar : Sidecar
+    paths : tuple of n Path
+        The file of each frame; for a video the same file n times.
+    video_indices : tuple of n int, or None
+        The number of each frame in the video. None for images.
     """
 
     name: str
@@ -47,16 +55,18 @@ class Clip:
         return len(self.frame_names)
 
     def load(self, index: int) -> Image:
-        """Decode one frame, (h, w, 3). `index` may count from the end as in a list. Raises as `read_image`
-        does.
-        """
+        """Decode one frame, (h, w, 3). A negative index counts from the end. Raises as `images` does."""
         return next(self.images([index]))
 
     def images(self, indices: Sequence[int] | None = None) -> Iterator[Image]:
-        """Yield frames one at a time, all or those of `indices` in that order; a video is decoded in
-        sequence.
+        """Yield frames (h, w, 3) one at a time: all, or those at `indices` in that order.
 
-        Raises `BadInput` for an index beyond the clip, and what `read_image` and `read_frames` raise.
+        Raises
+        ------
+        BadInput
+            If an index is beyond the clip.
+        UnreadableFile
+            As `read_image` and `read_frames` raise it.
         """
         places = self._places(range(len(self)) if indices is None else indices)
         if self.video_indices is None:
@@ -68,22 +78,19 @@ class Clip:
             yield from read_frames(self.paths[0], [self.video_indices[place] for place in places])
 
     def digests(self) -> tuple[str, ...]:
-        """Give a SHA-256 a frame: of the file's bytes, or for a video of the file's digest and the frame
-        number.
-        """
+        """Return one SHA-256 per frame: of the file, or for a video of the file's digest and the frame number."""
         if self.video_indices is None:
             return tuple(map(digest_of_file, self.paths))
         whole = digest_of_file(self.paths[0])
         return tuple(digest_of_bytes(f"{whole} {index}".encode()) for index in self.video_indices)
 
     def subset(self, indices: Sequence[int]) -> Clip:
-        """Give the clip of these frames, in this order, each at most once. Raises `BadInput` (none, repeated,
-        beyond).
-        """
+        """Return the clip of these frames, in this order. Raises `BadInput` if they are none or not unique."""
         places = self._places(indices)
         if not places or len(set(places)) < len(places):
             raise BadInput(
-                f"clip {self.name}: a subset needs one frame or more, each once, got {list(indices)}"
+                f"clip {self.name}: the subset is {list(indices)}; expected at least one frame, each once. "
+                "Remove repeated frames"
             )
         return replace(
             self,
@@ -95,14 +102,24 @@ class Clip:
         )
 
     def _places(self, indices: Sequence[int]) -> list[int]:
+        """Convert indices, which may be negative, to indices from 0. Raise `BadInput` if one is beyond the clip."""
+
         for index in indices:
             if not -len(self) <= index < len(self):
-                raise BadInput(f"clip {self.name} has {len(self)} frames, frame {index} was asked for")
+                raise BadInput(
+                    f"clip {self.name}: the frame is {index}; expected 0 to {len(self) - 1}. Change it"
+                )
         return [int(index) % len(self) for index in indices]
 
 
 def natural_key(name: str) -> tuple[tuple[tuple[int, int, str], ...], str]:
-    """Give a sorting key that puts frame 2 before frame 10; equal keys fall back to the plain name."""
+    """Return a sorting key that puts frame 2 before frame 10; names with equal numbers are ordered as texts.
+
+    Examples
+    --------
+    >>> sorted(["frame10", "frame2"], key=natural_key)
+    ['frame2', 'frame10']
+    """
     parts = re.split(r"([0-9]+)", name)
     return tuple(
         (0, int(part), "") if part.isdigit() else (1, 0, part.casefold()) for part in parts if part
@@ -110,21 +127,34 @@ def natural_key(name: str) -> tuple[tuple[tuple[int, int, str], ...], str]:
 
 
 def open_clip(sources: Sequence[str | Path]) -> Clip:
-    """Open one folder, one glob pattern, one video, or several image files as a clip, in natural order of
-    names.
+    """Open one folder, one glob pattern, one video or several image files as a clip, in natural order of names.
 
-    A folder gives its images, or those of its folder `frames`; hidden files and other kinds are passed over.
-    The `clip.json` in the folder, or beside a folder called `frames`, becomes the sidecar; for a video it is
-    `<name>.clip.json` beside it. Files from several folders get their folder's name as prefix where names
-    clash.
+    Parameters
+    ----------
+    sources : sequence of str or Path
+        A folder gives its images, or those of its folder `frames`; hidden files and other file types are ignored.
+        Files
+        from several folders are prefixed with the folder's name if their names clash.
 
-    Raises `BadInput` (nothing there, no match, a file given twice, videos mixed with other files),
-    `SizeMismatch` (sizes that differ, listed) and `UnreadableFile`.
+    Returns
+    -------
+    Clip
+        Its sidecar is the `clip.json` in the folder, or beside a folder called `frames`; for a video
+        `<name>.clip.json`.
+
+    Raises
+    ------
+    BadInput
+        If there are no images, no file matches, a file is repeated, or videos are mixed with other files.
+    SizeMismatch
+        If the frames differ in size; the message lists the sizes.
+    UnreadableFile
+        If a file or folder cannot be read.
     """
     given = [str(source) for source in ([sources] if isinstance(sources, str | Path) else sources)]
     if not given:
         raise BadInput(
-            "no clip was given: name a folder, a video, image files, or a pattern such as 'face/*.png'"
+            "no clip is given; expected a folder, a video, image files or a pattern. Add one, such as 'face/*.png'"
         )
     found = [path for source in given for path in _expand(source)]
     if len(found) == 1 and found[0].is_dir():
@@ -132,38 +162,38 @@ def open_clip(sources: Sequence[str | Path]) -> Clip:
     folders = [path for path in found if path.is_dir()]
     if folders:
         raise BadInput(
-            f"a clip is one folder or several files, {len(found)} things were given, "
-            f"among them the folder {folders[0]}"
+            f"the clip has {len(found)} parts, one of them the folder {folders[0]}; expected one folder or several "
+            "files. Select one"
         )
     videos = [path for path in found if path.suffix.lower() in VIDEO_SUFFIXES]
     if videos:
         if len(found) > 1:
             raise BadInput(
-                f"a clip is one video or several images, {len(found)} files were given, "
-                f"among them {videos[0]}"
+                f"the clip has {len(found)} files, one of them the video {videos[0]}; expected one video or several "
+                "images. Select one"
             )
         return _clip_of_video(found[0])
     return _clip_of_files(found, None)
 
 
 def _expand(source: str) -> list[Path]:
-    """Give the existing path, or what a pattern matches."""
+    """Return the path if it exists, or the files that the pattern matches."""
     path = Path(source)
     try:
         if path.exists():
             if path.is_file() and path.suffix.lower() not in IMAGE_SUFFIXES + VIDEO_SUFFIXES:
                 kinds = ", ".join(IMAGE_SUFFIXES + VIDEO_SUFFIXES)
                 raise BadInput(
-                    f"{path} is neither an image nor a video by its suffix: one of {kinds} was expected"
+                    f"{path} is neither an image nor a video by its suffix; expected {kinds}. Convert it"
                 )
             return [path]
     except OSError as error:
         raise UnreadableFile(f"cannot read {path}: {error.strerror}") from error
     if not glob.has_magic(str(path)):
         raise BadInput(
-            f"{path} does not exist: a folder of images, an image, a video or a quoted pattern was expected"
+            f"{path} does not exist; expected a folder of images, an image, a video or a quoted pattern. Check the name"
         )
-    # pathlib's glob cannot take an absolute pattern, and a pattern is what was given
+    # pathlib's glob does not accept absolute patterns
     matches = [Path(match) for match in glob.glob(str(path), recursive=True)]  # noqa: PTH207
     if len(matches) == 1 and matches[0].is_dir():
         return matches
@@ -172,7 +202,7 @@ def _expand(source: str) -> list[Path]:
     ]
     if not files:
         raise BadInput(
-            f"no image or video matches {source} ({len(matches)} other matches): check the pattern"
+            f"no image or video matches {source} ({len(matches)} other matches). Check the pattern"
         )
     return files
 
@@ -187,10 +217,10 @@ def _clip_of_folder(folder: Path) -> Clip:
         if images:
             return _clip_of_files(images, place)
     videos = sum(_is_kind(path, VIDEO_SUFFIXES) for path in folder.iterdir())
-    hint = f"; it holds {videos} video(s), name the file itself" if videos else ""
+    remedy = f"It holds {videos} video(s): enter the name of one" if videos else "Check the name"
     raise BadInput(
         f"{folder} holds no images ({', '.join(IMAGE_SUFFIXES)}), "
-        f"nor does a folder {FRAMES_FOLDER} in it{hint}"
+        f"nor does a folder {FRAMES_FOLDER} in it. {remedy}"
     )
 
 
@@ -200,7 +230,7 @@ def _images_in(folder: Path) -> list[Path]:
             [path for path in folder.iterdir() if _is_kind(path, IMAGE_SUFFIXES)] if folder.is_dir() else []
         )
     except OSError as error:
-        raise UnreadableFile(f"cannot read {folder}: {error.strerror}; check the permissions") from error
+        raise UnreadableFile(f"cannot read {folder}: {error.strerror}. Check the permissions") from error
 
 
 def _clip_of_files(files: Sequence[Path], folder: Path | None) -> Clip:
@@ -208,7 +238,7 @@ def _clip_of_files(files: Sequence[Path], folder: Path | None) -> Clip:
     repeated = [path for path, count in Counter(path.resolve() for path in paths).items() if count > 1]
     if repeated:
         raise BadInput(
-            f"{repeated[0]} was given more than once ({len(repeated)} such files): give each frame once"
+            f"{repeated[0]} is repeated ({len(repeated)} such files); expected each file once. Remove the repetitions"
         )
     parents = {path.parent.resolve() for path in paths}
     home = folder or (paths[0].parent if len(parents) == 1 else None)
@@ -246,7 +276,7 @@ def _sidecar_of(folder: Path | None) -> Sidecar:
 
 
 def _unique_names(paths: Sequence[Path]) -> tuple[str, ...]:
-    """Give file names without suffix; where they clash all get suffixes, then folder names as prefix."""
+    """Return the file names without suffix; if they clash, with suffix, then with folder names as prefix."""
     names = [path.stem for path in paths]
     if len(set(names)) == len(names):
         return tuple(names)
@@ -268,11 +298,8 @@ def _common_size(paths: Sequence[Path]) -> tuple[int, int]:
     if len(sizes) == 1:
         return next(iter(sizes))
     groups = sorted(sizes.items(), key=lambda item: -len(item[1]))
-    listed = "; ".join(
-        f"{w} x {h}: {len(some)} (such as {some[0]})" for (w, h), some in groups[:LISTED_SIZES]
-    )
+    listed = "; ".join(f"{w} x {h}: {len(some)}, such as {some[0]}" for (w, h), some in groups[:LISTED_SIZES])
     more = f"; and {len(groups) - LISTED_SIZES} more sizes" if len(groups) > LISTED_SIZES else ""
     raise SizeMismatch(
-        f"the frames of a clip must have one size, {len(groups)} were found: {listed}{more}; "
-        "crop or resize them"
+        f"the frames of the clip have {len(groups)} sizes ({listed}{more}); expected one. Crop or resize them"
     )

@@ -1,4 +1,4 @@
-"""Between stored codes, sRGB-coded values and linear light (IEC 61966-2-1)."""
+"""Convert between stored integer codes, sRGB-coded values and linear light (IEC 61966-2-1)."""
 
 from __future__ import annotations
 
@@ -7,29 +7,52 @@ import numpy as np
 from morphspace.arrays import AnyArray, Image
 from morphspace.errors import BadInput
 
-CODE_LIMIT = 0.04045  # below it the sRGB curve is a straight line
-LINEAR_LIMIT = 0.0031308  # the same place in linear light
+CODE_LIMIT = 0.04045  # sRGB-coded; the curve is a straight line below (IEC 61966-2-1)
+LINEAR_LIMIT = 0.0031308  # linear light; the same point
 
 
 def srgb_of_linear(linear: AnyArray) -> AnyArray:
-    """Code linear light as sRGB, continued beyond 1 and mirrored below 0 so that it inverts."""
+    """Code linear light as sRGB. The curve continues beyond 1 and is mirrored below 0, so that it can be inverted.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> srgb_of_linear(np.array([0.0, 0.214, 1.0])).round(2).tolist()
+    [0.0, 0.5, 1.0]
+    """
     size = np.abs(linear)
     coded = np.where(size <= LINEAR_LIMIT, 12.92 * size, 1.055 * size ** (1 / 2.4) - 0.055)
     return np.copysign(coded, linear).astype(linear.dtype)
 
 
 def linear_of_srgb(coded: AnyArray) -> AnyArray:
-    """Give the linear light of sRGB-coded values: the inverse of `srgb_of_linear`."""
+    """Decode sRGB-coded values to linear light: the inverse of `srgb_of_linear`."""
     size = np.abs(coded)
     linear = np.where(size <= CODE_LIMIT, size / 12.92, ((size + 0.055) / 1.055) ** 2.4)
     return np.copysign(linear, coded).astype(coded.dtype)
 
 
 def codes_of(image: Image, bits: int) -> tuple[AnyArray, int]:
-    """Give the nearest codes of 8 or 16 bits, and how many values had to be clipped.
+    """Round an image to integer codes, and count the values that were clipped to [0, 1].
 
-    A value counts where clipping to [0, 1] moves it by more than half a code, so that rounding noise at white
-    and black does not.
+    Parameters
+    ----------
+    image : array (h, w, c), sRGB-coded, 1.0 = white
+    bits : 8 or 16
+
+    Returns
+    -------
+    array (h, w, c) uint8 or uint16
+    int
+        The number of values that clipping moved by more than half a code: rounding errors at black and white do not
+        count.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> codes, clipped = codes_of(np.array([[[0.0, 0.5, 1.2]]]), 8)
+    >>> codes.tolist(), clipped
+    ([[[0, 128, 255]]], 1)
     """
     top = 2**bits - 1
     scaled = np.asarray(image, np.float32) * np.float32(top)
@@ -38,9 +61,13 @@ def codes_of(image: Image, bits: int) -> tuple[AnyArray, int]:
 
 
 def check_image(image: Image, what: str) -> None:
-    """Refuse what cannot be written as a picture: raises `BadInput`, naming `what`."""
+    """Raise `BadInput`, which names the file or image as `what`, if an image is not (h, w, 3) or not finite."""
     if image.ndim != 3 or image.shape[2] != 3 or image.size == 0:
-        raise BadInput(f"cannot write {what}: its shape is {image.shape}, (height, width, 3) was expected")
+        raise BadInput(
+            f"cannot write {what}: its shape is {image.shape}; expected (height, width, 3). Convert it"
+        )
     if not np.isfinite(image).all():
         count = int(np.count_nonzero(~np.isfinite(image)))
-        raise BadInput(f"cannot write {what}: {count} of its values are not finite")
+        raise BadInput(
+            f"cannot write {what}: {count} of its values are not finite; expected none. Repair the image"
+        )

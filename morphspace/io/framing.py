@@ -1,4 +1,4 @@
-"""Clips at a model's size: how source images become model frames, and a clip seen through that framing."""
+"""Framing: crop and scale the images of a clip to the size of a model's frames."""
 
 from __future__ import annotations
 
@@ -15,16 +15,30 @@ from morphspace.errors import BadInput
 from morphspace.io.clips import Clip
 from morphspace.storage import digest_of_json
 
-MAX_SIDE_PX = 4096  # a frame of that size has 80 million numbers
-MIN_SIDE_PX = 32  # below it the coarsest flow level has nothing to hold on to
+MAX_SIDE_PX = 4096  # px; a morph of that size has 80 million numbers
+MIN_SIDE_PX = 32  # px; the coarsest level of the flow needs as many
 
 
 @dataclass(frozen=True, eq=False)
 class Framing:
-    """How a source image becomes a model frame: crop, then scale to cover the size and crop to the middle.
+    """How a source image becomes a model frame: crop, scale until it covers the size, then cut to the centre.
 
-    `source_size` (w, h) px of the images; `crop` (x, y, w, h) px or None for the whole; `size` (w, h) px of the
-    model's frames. Raises `BadInput` for a crop that leaves the image.
+    Attributes
+    ----------
+    source_size : (w, h) px of the source images
+    crop : (x, y, w, h) px, or None for the whole image
+    size : (w, h) px of the model's frames
+
+    Raises
+    ------
+    BadInput
+        If the crop reaches outside the image, or a side of `size` is outside `MIN_SIDE_PX` to `MAX_SIDE_PX`.
+
+    Examples
+    --------
+    >>> framing = Framing(source_size=(400, 300), crop=None, size=(100, 100))
+    >>> framing.scaled_size, framing.cut_off
+    ((133, 100), (33, 0))
     """
 
     source_size: tuple[int, int]
@@ -36,37 +50,37 @@ class Framing:
         width, height = self.source_size
         if x < 0 or y < 0 or w < 1 or h < 1 or x + w > width or y + h > height:
             raise BadInput(
-                f"crop {x},{y},{w},{h} leaves the image of {width}x{height}: give x,y,w,h inside it"
+                f"the crop is {x},{y},{w},{h}; expected x,y,w,h inside the image of {width}x{height} px. Change it"
             )
         if max(self.size) > MAX_SIDE_PX:
             raise BadInput(
-                f"frames of {self.size[0]}x{self.size[1]} are too large: give at most {MAX_SIDE_PX} px a side"
+                f"the frames have {self.size[0]}x{self.size[1]} px; expected at most {MAX_SIDE_PX} a side. Reduce them"
             )
         if min(self.size) < MIN_SIDE_PX:
             raise BadInput(
-                f"frames of {self.size[0]}x{self.size[1]} are too small for a face: at least "
-                f"{MIN_SIDE_PX}x{MIN_SIDE_PX}, better 200x240"
+                f"the frames have {self.size[0]}x{self.size[1]} px; expected at least {MIN_SIDE_PX}x{MIN_SIDE_PX} for a face. "
+                "Enlarge them, for example to 200x240"
             )
 
     @property
     def box(self) -> tuple[int, int, int, int]:
-        """The crop (x, y, w, h) px, the whole image where none was asked for."""
+        """The crop (x, y, w, h) px; the whole image if there is none."""
         return self.crop or (0, 0, *self.source_size)
 
     @property
     def scaled_size(self) -> tuple[int, int]:
-        """The size (w, h) px of the crop once it is scaled to cover `size`."""
+        """The size (w, h) px of the crop after scaling, before the cut to the centre."""
         _, _, w, h = self.box
         scale = max(self.size[0] / w, self.size[1] / h)
         return max(self.size[0], round(w * scale)), max(self.size[1], round(h * scale))
 
     @property
     def cut_off(self) -> tuple[int, int]:
-        """How many scaled pixels the middle crop takes away in x and in y."""
+        """The number of scaled pixels that the cut to the centre removes in x and in y."""
         return self.scaled_size[0] - self.size[0], self.scaled_size[1] - self.size[1]
 
     def apply(self, image: Image) -> Image:
-        """Give the model frame (h, w, 3) of a source image: averaged over areas where it shrinks."""
+        """Return the model frame (h, w, 3) of a source image. Reduction averages areas; enlargement is cubic."""
         x, y, w, h = self.box
         image = image[y : y + h, x : x + w]
         if self.scaled_size != (w, h):
@@ -78,7 +92,7 @@ class Framing:
 
     @property
     def to_source(self) -> Affine:
-        """The affine (2, 3) that maps a point of the model frame to the source image."""
+        """The affine (2, 3) that maps a point of the model frame to the source image, px."""
         x, y, w, h = self.box
         scale = np.array([w / self.scaled_size[0], h / self.scaled_size[1]])
         corner = np.array([self.cut_off[0] // 2, self.cut_off[1] // 2]) + 0.5
@@ -86,7 +100,7 @@ class Framing:
 
 
 class FrameSource(Protocol):
-    """Frames at the model's size, in order: what a build builds from."""
+    """Frames at the model's size, in order: the input of a build."""
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -99,13 +113,13 @@ class FrameSource(Protocol):
         ...
 
     def images(self, indices: list[int]) -> Iterator[Image]:
-        """Give the frames (h, w, 3) at these indices, which rise."""
+        """Yield the frames (h, w, 3) at these indices, in rising order."""
         ...
 
 
 @dataclass(frozen=True)
 class FramedClip:
-    """A clip and its framing; gives frames (h, w, 3) at the size of the framing."""
+    """A clip with its framing: a `FrameSource` of images."""
 
     clip: Clip
     framing: Framing
@@ -117,35 +131,36 @@ class FramedClip:
 
     @cached_property
     def file_digests(self) -> tuple[str, ...]:
-        """The SHA-256 of each frame's source."""
+        """The SHA-256 of each frame's source file."""
         return self.clip.digests()
 
     @cached_property
     def digests(self) -> tuple[str, ...]:
-        """A digest of each frame's source and the framing together."""
+        """One digest per frame, of its source file and the framing."""
         framing = [self.framing.source_size, self.framing.box, self.framing.size]
         return tuple(digest_of_json([digest, framing]) for digest in self.file_digests)
 
     def images(self, indices: list[int]) -> Iterator[Image]:
-        """Give the framed images at these indices, one at a time."""
+        """Yield the framed images (h, w, 3) at these indices, one at a time."""
         for image in self.clip.images(indices):
             yield self.framing.apply(image)
 
     @property
     def to_source(self) -> Affine:
-        """The affine (2, 3) from a framed image to the image it was made from."""
+        """The affine (2, 3) that maps a point of the framed image to its source image, px."""
         return self.framing.to_source
 
 
 def same_size(
     source: FrameSource, indices: list[int], shape: tuple[int, ...] | None = None
 ) -> Iterator[tuple[int, Image]]:
-    """Give the frames with their indices. Raises `BadInput` for one of another shape than asked for, or the first's."""
+    """Yield (index, frame). Raise `BadInput` if a frame differs from `shape`, by default the first's."""
     for index, image in zip(indices, source.images(indices), strict=True):
         shape = shape or image.shape
         if image.shape != shape:
             raise BadInput(
-                f"{source.names[index]} is {image.shape[1]}x{image.shape[0]}, the frames before are "
-                f"{shape[1]}x{shape[0]}: bring the frames to one size"
+                f"{source.names[index]} has {image.shape[1]}x{image.shape[0]} px; expected {shape[1]}x{shape[0]} "
+                "as the "
+                "frames before. Bring all to one size"
             )
         yield index, image

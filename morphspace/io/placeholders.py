@@ -1,7 +1,7 @@
-"""Text with places to fill, as recipes use it: `{identity}_g{gain}`, `{identity.loadings}`, `{step:03d}`.
+"""Placeholders in the texts of a recipe: `{identity}_g{gain}`, `{identity.loadings}`, `{step:03d}`.
 
-Python's own formatting would follow attributes and indices of whatever it is given. What is filled in here is a
-name, or a name and one entry of it, with a width and precision for numbers, and nothing else. Ours.
+Python's own formatting follows the attributes and indices of any object. A placeholder here is only a name, or a name
+and one entry of it, with an optional width and precision for numbers. Ours.
 """
 
 from __future__ import annotations
@@ -16,14 +16,23 @@ from morphspace.errors import BadInput
 
 WORD = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
 PLACE = re.compile(r"([A-Za-z][A-Za-z0-9_]*)(?:\.([A-Za-z][A-Za-z0-9_]*))?(?::(0?[0-9]?(?:\.[0-9])?[dfg]))?")
-CLOSENESS = 0.6  # of two words, 1 for the same: what a slip of the finger leaves
-LISTED = 16  # words a message tells all of
+CLOSENESS = 0.6  # difflib's ratio, 1 for equal words; the ratio of a word with one or two typing errors
+LISTED = 16  # words; a message lists all if there are no more
 EXAMPLE = "{gain}, {identity.loadings} or {step:03d}"
 
 
 @dataclass(frozen=True)
 class Place:
-    """A place to fill: the `word` of it, one `entry` of what it stands for or "", how a number is written or ""."""
+    """A placeholder.
+
+    Attributes
+    ----------
+    word : str
+    entry : str
+        One entry of the value of `word`, or "".
+    form : str
+        The number format, such as "03d", or "".
+    """
 
     word: str
     entry: str
@@ -31,31 +40,39 @@ class Place:
 
     @property
     def key(self) -> str:
-        """What is looked up: `word`, or `word.entry`."""
+        """The key of its value: `word`, or `word.entry`."""
         return f"{self.word}.{self.entry}" if self.entry else self.word
 
 
 def pieces_of(text: str) -> tuple[str | Place, ...]:
-    """Take a text apart into what stays and what is filled. Raises `BadInput` for braces that do not pair or a place
-    that is not a name.
+    """Split a text into plain pieces and placeholders. Raises `BadInput` for a malformed placeholder.
+
+    Examples
+    --------
+    >>> pieces_of("face_{step:03d}")
+    ('face_', Place(word='step', entry='', form='03d'))
     """
     pieces: list[str | Place] = []
     for number, part in enumerate(re.split(r"\{([^{}]*)\}", text)):
         if number % 2 == 0:
             if "{" in part or "}" in part:
-                raise BadInput(f"{text!r} has a brace without its other: places to fill look like {EXAMPLE}")
+                raise BadInput(
+                    f"{text!r} has an unpaired brace; expected placeholders such as {EXAMPLE}. Correct it"
+                )
             if part:
                 pieces.append(part)
             continue
         found = PLACE.fullmatch(part)
         if found is None:
-            raise BadInput(f"{{{part}}} in {text!r} is not a place to fill: write it like {EXAMPLE}")
+            raise BadInput(
+                f"{{{part}}} in {text!r} is not a placeholder; expected one such as {EXAMPLE}. Correct it"
+            )
         pieces.append(Place(*(group or "" for group in found.groups())))
     return tuple(pieces)
 
 
 def places_in(value: Any) -> tuple[Place, ...]:
-    """Give the places of a text, or of every text in lists and mappings."""
+    """Return the placeholders of a text, or of every text in lists and mappings."""
     if isinstance(value, str):
         return tuple(piece for piece in pieces_of(value) if isinstance(piece, Place))
     if isinstance(value, Mapping):
@@ -66,10 +83,29 @@ def places_in(value: Any) -> tuple[Place, ...]:
 
 
 def filled(value: Any, known: Mapping[str, Any]) -> Any:
-    """Fill the places of a text, or of every text in lists and mappings, with what is `known` by `Place.key`.
+    """Replace the placeholders of a text, or of every text in lists and mappings, by their values.
 
-    A text that is one place alone, `{gain}`, becomes the value itself and keeps its kind. Raises `BadInput` for a place
-    that is not known, naming the nearest that is, and for a value that is no single word or number inside a text.
+    Parameters
+    ----------
+    value : any
+        Values other than texts, lists and mappings are returned as they are.
+    known : mapping of `Place.key` to value
+
+    Returns
+    -------
+    any
+        A text that is one placeholder alone, `{gain}`, becomes the value itself and keeps its type.
+
+    Raises
+    ------
+    BadInput
+        If a placeholder is unknown (the message suggests the nearest name), or its value in a text is no text or
+        number.
+
+    Examples
+    --------
+    >>> filled("face_g{gain}", {"gain": 1.5}), filled("{gain}", {"gain": 1.5})
+    ('face_g1.5', 1.5)
     """
     if isinstance(value, Mapping):
         return {key: filled(inner, known) for key, inner in value.items()}
@@ -84,44 +120,41 @@ def filled(value: Any, known: Mapping[str, Any]) -> Any:
 
 
 def nearest(word: str, known: Iterable[str]) -> str:
-    """Say which of the known words is near, and which there are where they are few."""
+    """Return the end of a message: the known word nearest to `word`, and all known words if they are few."""
     words = list(dict.fromkeys(known))
     close = [one for one in words if one.lower() == word.lower()] or get_close_matches(
         word, words, 1, CLOSENESS
     )
-    told = [f"the nearest is {close[0]!r}"] if close else []
+    hints = [f"the nearest is {close[0]!r}"] if close else []
     if not close or len(words) <= LISTED:
-        told.append(f"there are {', '.join(words)}" if words else "there are none")
-    return "; ".join(told)
+        hints.append(f"expected one of {', '.join(words)}" if words else "there are none")
+    return "; ".join(hints)
 
 
 def _known(place: Place, known: Mapping[str, Any]) -> Any:
     if place.key not in known:
-        raise BadInput(f"nothing is called {{{place.key}}}: {nearest(place.key, known)}")
+        raise BadInput(f"{{{place.key}}} is unknown: {nearest(place.key, known)}")
     return known[place.key]
 
 
 def _worded(place: Place, known: Mapping[str, Any]) -> str:
-    """Write what stands in a place as text."""
+    """Write the value of a placeholder as text."""
     value = _known(place, known)
     if isinstance(value, bool) or not isinstance(value, int | float | str):
-        raise BadInput(f"{{{place.key}}} is {value!r}, which is neither a text nor a number: give it a name")
+        raise BadInput(f"{{{place.key}}} is {value!r}; expected a text or a number. Name this level")
     if not place.form:
         return value if isinstance(value, str) else repr(value).removesuffix(".0")
     if isinstance(value, str):
-        raise BadInput(
-            f"{{{place.key}:{place.form}}} writes a number, {place.key} is {value!r}: leave out :{place.form}"
-        )
+        raise BadInput(f"{{{place.key}:{place.form}}} is {value!r}; expected a number. Remove :{place.form}")
     if place.form.endswith("d"):
         if value != int(value):
             raise BadInput(
-                f"{{{place.key}:{place.form}}} writes a whole number, {place.key} is {value!r}: write it as "
-                f"{{{place.key}}}"
+                f"{{{place.key}:{place.form}}} is {value!r}; expected a whole number. Write {{{place.key}}}"
             )
         value = int(value)
     try:
         return format(value, place.form)
     except ValueError as error:
         raise BadInput(
-            f"{{{place.key}:{place.form}}} is no form of a number: {error}; write it like {EXAMPLE}"
+            f"{{{place.key}:{place.form}}} is no number format ({error}); expected one such as {EXAMPLE}. Correct it"
         ) from error

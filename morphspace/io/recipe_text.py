@@ -1,9 +1,8 @@
-"""YAML and CSV as plain data that know their lines, so that what is wrong in a recipe can be pointed at.
+"""Read YAML and CSV as plain data with line numbers, so that a message can name the faulty line of a recipe.
 
-Of YAML we take what a recipe needs: mappings, lists, texts, numbers, true, false and null, read by the core schema
-of YAML 1.2. Under the older rules of the library we use, `no` would be false and `1:30` ninety, which no list of
-identities means. Aliases, tags and repeated keys are refused: nothing is executed, and a small file cannot become a
-large one. Ours.
+A recipe needs only mappings, lists, texts, numbers, true, false and null, as in the core schema of YAML 1.2. PyYAML
+follows YAML 1.1, where `no` is false and `1:30` is ninety; in a list of identities both are texts. Aliases, tags and
+repeated keys are refused: nothing is executed, and a small file cannot expand into a large one. Ours.
 """
 
 from __future__ import annotations
@@ -20,9 +19,9 @@ import yaml
 
 from morphspace.errors import BadInput, UnreadableFile
 
-LARGEST_BYTES = 20_000_000  # a table of 100,000 rows is a fifth of it; more is not a recipe
+LARGEST_BYTES = 20_000_000  # bytes; a table of 100,000 rows has a fifth of it
 DEEPEST = 12  # levels; a recipe has six
-INTEGER = re.compile(r"[-+]?(0|[1-9][0-9]{0,14})")  # 0001 stays a text: identities and frames are called so
+INTEGER = re.compile(r"[-+]?(0|[1-9][0-9]{0,14})")  # not 0001, which may name an identity or a frame
 NUMBER = re.compile(r"[-+]?(\.[0-9]+|(0|[1-9][0-9]*)(\.[0-9]*)?)([eE][-+]?[0-9]{1,3})?")
 PLAIN_TAGS = {
     f"tag:yaml.org,2002:{kind}"
@@ -39,10 +38,15 @@ Spot = tuple[str | int, ...]
 
 @dataclass(frozen=True, eq=False)
 class Lined:
-    """Plain data (`value`: mappings, lists, texts, numbers, booleans, None) and the line each part stands on.
+    """Plain data and the line number of each part.
 
-    `lines` holds, by the way to a part such as `("stimuli", 0, "gain")`, the line counted from 1; for an entry of a
-    mapping that of its key.
+    Attributes
+    ----------
+    path : Path
+    value : mappings, lists, texts, numbers, booleans or None
+    lines : mapping of tuple to int
+        The line, from 1, by the path to a part, such as `("stimuli", 0, "gain")`; for an entry of a mapping, that of
+        its key.
     """
 
     path: Path
@@ -50,36 +54,50 @@ class Lined:
     lines: Mapping[Spot, int]
 
     def where(self, *spot: str | int) -> str:
-        """Give `FILE line N` of the part, or of the nearest part around it, to open a message with."""
+        """Return `FILE line N` of the part, or of the nearest part around it, as the start of a message."""
         while spot and spot not in self.lines:
             spot = spot[:-1]
         return f"{self.path} line {self.lines.get(spot, 1)}"
 
 
 def read_yaml(path: Path) -> Lined:
-    """Read a YAML file. Raises `UnreadableFile` (missing, not YAML) and `BadInput` (what a recipe does not use)."""
+    """Read a YAML file.
+
+    Raises
+    ------
+    UnreadableFile
+        If the file is missing or is not YAML.
+    BadInput
+        If it has aliases, tags, repeated keys or too many levels.
+    """
     text = _text_of(path)
     try:
         root = yaml.compose(text, Loader=yaml.SafeLoader)
     except yaml.MarkedYAMLError as error:
         mark = error.problem_mark or error.context_mark
         line = f" line {mark.line + 1}" if mark else ""
-        said = " ".join(str(error.problem or error.context).split())
-        raise UnreadableFile(f"{path}{line} is not YAML: {said}; mend it there or just above") from error
+        problem = " ".join(str(error.problem or error.context).split())
+        raise UnreadableFile(
+            f"{path}{line} is not YAML: {problem}. Correct this line or the one above"
+        ) from error
     except (yaml.YAMLError, RecursionError) as error:
-        raise UnreadableFile(f"{path} is not YAML: {' '.join(str(error).split())}") from error
+        raise UnreadableFile(f"{path} is not YAML: {' '.join(str(error).split())}. Correct it") from error
     if root is None:
-        raise UnreadableFile(f"{path} is empty: a recipe was expected")
+        raise UnreadableFile(f"{path} is empty; expected a recipe. Check the name")
     lines: dict[Spot, int] = {}
     value = _plain(path, root, (), lines, set())
     return Lined(path, value, lines)
 
 
 def read_rows(path: Path) -> Lined:
-    """Read a CSV table as a list of mappings, one a row, all cells as texts, empty cells left out.
+    """Read a CSV table as a list of mappings, one per row. All cells are texts; empty cells are left out.
 
-    Raises `UnreadableFile` (missing, not CSV) and `BadInput` (rows of different length, columns without or of one
-    name).
+    Raises
+    ------
+    UnreadableFile
+        If the file is missing or is not CSV.
+    BadInput
+        If rows differ in length, or a column has no name or the name of another.
     """
     text = _text_of(path)
     rows: list[dict[str, str]] = []
@@ -95,63 +113,65 @@ def read_rows(path: Path) -> Lined:
                 continue
             if len(cells) != len(headings):
                 raise BadInput(
-                    f"{path} line {line} has {len(cells)} cells, the first row names {len(headings)} "
-                    "columns: put a cell that holds a comma in double quotes"
+                    f"{path} line {line} has {len(cells)} cells; expected {len(headings)} columns as in the first "
+                    "row. Put a cell with a comma in double quotes"
                 )
             lines[(len(rows),)] = line
             rows.append(
                 {name: cell.strip() for name, cell in zip(headings, cells, strict=True) if cell.strip()}
             )
     except csv.Error as error:
-        raise UnreadableFile(f"{path} line {reader.line_num} is not CSV: {error}; export it again") from error
+        raise UnreadableFile(f"{path} line {reader.line_num} is not CSV: {error}. Export it again") from error
     return Lined(path, rows, lines)
 
 
 def _check_headings(path: Path, headings: list[str]) -> None:
     if not any(headings):
-        raise UnreadableFile(f"{path} is empty: a first row of column names was expected")
+        raise UnreadableFile(f"{path} is empty; expected a first row of column names. Export it again")
     if len(headings) == 1 and ";" in headings[0]:
-        raise BadInput(
-            f"{path} line 1: the columns are separated by semicolons, commas were expected: export it so"
-        )
+        raise BadInput(f"{path} line 1 has semicolons between the columns; expected commas. Export it again")
     for place, name in enumerate(headings):
         if not name:
-            raise BadInput(f"{path} line 1: column {place + 1} has no name: name it, or remove it")
+            raise BadInput(
+                f"{path} line 1: column {place + 1} has no name; expected one. Name or remove the column"
+            )
         if name in headings[:place]:
-            raise BadInput(f"{path} line 1: column {name!r} appears twice")
+            raise BadInput(f"{path} line 1: column {name!r} is repeated; expected unique names. Rename it")
 
 
 def _text_of(path: Path) -> str:
     try:
         size = path.stat().st_size
         if size > LARGEST_BYTES:
-            raise BadInput(f"{path} is {size} bytes long, a recipe has at most {LARGEST_BYTES}: split it")
+            raise BadInput(f"{path} has {size} bytes; expected at most {LARGEST_BYTES}. Split it")
         text = path.read_text(encoding="utf-8-sig")
     except OSError as error:
         raise UnreadableFile(
-            f"cannot read {path}: {error.strerror}; check the name and the permissions"
+            f"cannot read {path}: {error.strerror}. Check the name and the permissions"
         ) from error
     except UnicodeDecodeError as error:
-        raise UnreadableFile(f"{path} is not a text in UTF-8: {error.reason}; save it as UTF-8") from error
+        raise UnreadableFile(f"{path} is not a text in UTF-8: {error.reason}. Save it as UTF-8") from error
     if "\0" in text:
-        raise UnreadableFile(f"{path} is not a text: it holds zero bytes; save it as UTF-8")
+        raise UnreadableFile(f"{path} is not a text: it holds zero bytes. Save it as UTF-8")
     return text
 
 
 def _plain(path: Path, node: Any, spot: Spot, lines: dict[Spot, int], seen: set[int]) -> Any:
+    """Convert a YAML node to plain data, and record the line of each part in `lines`."""
+
     line = node.start_mark.line + 1
     lines.setdefault(spot, line)
     if id(node) in seen:
         raise BadInput(
-            f"{path} line {line}: what stands here is used again by an alias (*): write it out there"
+            f"{path} line {line} is repeated by an alias (*); expected plain data. Write the text at each place"
         )
     if len(spot) > DEEPEST:
         raise BadInput(
-            f"{path} line {line} is nested {len(spot)} deep, a recipe at most {DEEPEST}: flatten it"
+            f"{path} line {line} is nested {len(spot)} levels deep; expected at most {DEEPEST}. Flatten it"
         )
     seen.add(id(node))
     if node.tag not in PLAIN_TAGS:
-        raise BadInput(f"{path} line {line}: the tag {node.tag} is not for a recipe: write plain data")
+        raise BadInput(f"{path} line {line} has the tag {node.tag}; expected plain data. Remove the tag")
     if isinstance(node, yaml.MappingNode):
         return _mapping(path, node, spot, lines, seen)
     if isinstance(node, yaml.SequenceNode):
@@ -166,11 +186,12 @@ def _mapping(path: Path, node: Any, spot: Spot, lines: dict[Spot, int], seen: se
         key = key_node.value
         if not isinstance(key, str):
             raise BadInput(
-                f"{path} line {line}: a key is a single word: where a text starts with a brace, put it in quotes"
+                f"{path} line {line} has a composite key; expected a word. Put a text that starts with a brace in "
+                "quotes"
             )
         if key in plain:
             raise BadInput(
-                f"{path} line {line}: {key!r} stands there twice, first in line {lines[(*spot, key)]}"
+                f"{path} line {line}: {key!r} is repeated, first in line {lines[(*spot, key)]}. Remove one"
             )
         lines[(*spot, key)] = line
         plain[key] = _plain(path, inner, (*spot, key), lines, seen)

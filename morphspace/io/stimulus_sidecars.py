@@ -1,7 +1,7 @@
-"""The JSON beside every stimulus: what it shows, from what it was made, what its pixels measure (`stimulus.md`).
+"""The JSON file beside each stimulus: its content, its origin and its image statistics (`data_spec/stimulus.md`).
 
-A sidecar holds the drawing, so that the stimulus can be made again from it and the model alone. The essentials travel
-inside the picture or video too.
+It contains the drawing: the stimulus can be drawn again from this file and the model alone. The most important
+entries are also embedded in the image or video itself.
 """
 
 from __future__ import annotations
@@ -18,11 +18,9 @@ from morphspace.io.sidecars import check_format, read_json_object
 
 STIMULUS_FORMAT = "morphspace-stimulus"
 STIMULUS_VERSION = 1
-KEYWORD = "morphspace"  # of the text inside a PNG
-COMMENT = "comment"  # the metadata entry of a video that holds the same
-ORIGINAL_IDENTITY = (
-    "original_identity"  # told of a stimulus, and inside it: who is in the pictures it was put into
-)
+KEYWORD = "morphspace"  # keyword of the text embedded in a PNG
+COMMENT = "comment"  # metadata entry of a video with the same text
+ORIGINAL_IDENTITY = "original_identity"  # the person in the images into which the face was placed
 UNITS = {
     "loadings_sd": "SD of each component over the model's training faces",
     "colour_sd": "SD, of the texture where it has loadings of its own",
@@ -52,12 +50,17 @@ REQUIRED: Mapping[str, type | tuple[type, ...]] = {
 }
 
 
-def essentials(head: Mapping[str, Any], told: Mapping[str, Any]) -> dict[str, Any]:
-    """Give what is written inside the file: model, verb, digest of the request, consent, licence and version.
+def essentials(head: Mapping[str, Any], described: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the entries embedded in a stimulus file: model, verb, digest of the request, consent, licence and version.
 
-    `told` is what the drawing tells, of which a second person shown goes in too.
+    Parameters
+    ----------
+    head : mapping
+        The entries that all stimuli of a set share.
+    described : mapping
+        The drawing's own description; a second person in the image is taken from it.
     """
-    also = {key: told[key] for key in (ORIGINAL_IDENTITY,) if key in told}
+    also = {key: described[key] for key in (ORIGINAL_IDENTITY,) if key in described}
     return {
         **also,
         "model_id": head["model"]["model_id"],
@@ -70,9 +73,9 @@ def essentials(head: Mapping[str, Any], told: Mapping[str, Any]) -> dict[str, An
     }
 
 
-def file_texts(head: Mapping[str, Any], told: Mapping[str, Any], suffix: str) -> dict[str, str]:
-    """Give the texts that go into a PNG (keywords) or a video (metadata entries) of this head and drawing."""
-    words = json.dumps(essentials(head, told), sort_keys=True, ensure_ascii=False)
+def file_texts(head: Mapping[str, Any], described: Mapping[str, Any], suffix: str) -> dict[str, str]:
+    """Return the texts to embed in a PNG (keywords) or a video (metadata entries), by the `suffix` of the file."""
+    words = json.dumps(essentials(head, described), sort_keys=True, ensure_ascii=False)
     licence = head["licence"]
     rights = (
         {} if not isinstance(licence, str) else {"Copyright" if suffix == ".png" else "copyright": licence}
@@ -83,22 +86,34 @@ def file_texts(head: Mapping[str, Any], told: Mapping[str, Any], suffix: str) ->
 
 
 def essentials_in(path: Path) -> dict[str, Any] | None:
-    """Give the essentials inside a stimulus file, or None where it holds none of ours."""
+    """Return the entries that `essentials` embedded in a stimulus file, or None if it has none."""
     try:
         if path.suffix.lower() == ".png":
-            told = png_texts(path).get(KEYWORD)
+            embedded = png_texts(path).get(KEYWORD)
         else:
             from morphspace.io.video import video_texts  # loads libav, which stills do not need
 
-            told = video_texts(path).get(COMMENT)
-        found = json.loads(told) if told else None
+            embedded = video_texts(path).get(COMMENT)
+        found = json.loads(embedded) if embedded else None
     except (UnreadableFile, ValueError):
         return None
     return found if isinstance(found, dict) and "request_sha256" in found else None
 
 
 def sidecar_text(document: Mapping[str, Any]) -> str:
-    """Give a sidecar as JSON text: keys in order, one line for each row of numbers, the same bytes for the same."""
+    """Write a sidecar as JSON text: sorted keys, one line per row of numbers. Equal documents give equal texts.
+
+    Examples
+    --------
+    >>> print(sidecar_text({"rows": [[1, 2], [3, 4]], "name": "a"}), end="")
+    {
+      "name": "a",
+      "rows": [
+        [1, 2],
+        [3, 4]
+      ]
+    }
+    """
     return _text(document, "") + "\n"
 
 
@@ -116,10 +131,12 @@ def _text(value: Any, indent: str) -> str:
 
 
 def read_stimulus_sidecar(path: Path) -> dict[str, Any]:
-    """Read the JSON beside a stimulus. Raises `UnreadableFile` (missing, not JSON) and `BadInput` (not one of ours)."""
+    """Read the JSON file beside a stimulus. Raises `UnreadableFile`, and `BadInput` for a wrong entry."""
     document = read_json_object(Path(path))
     check_format(Path(path), document, STIMULUS_FORMAT, STIMULUS_VERSION)
     for entry, kind in REQUIRED.items():
         if not isinstance(document.get(entry), kind):
-            raise BadInput(f"{path}: {entry} is {document.get(entry)!r:.40}, it is cut short: copy it again")
+            raise BadInput(
+                f"{path}: {entry} is {document.get(entry)!r:.40}; expected another type. Copy the file again"
+            )
     return document

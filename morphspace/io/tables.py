@@ -1,6 +1,6 @@
-"""Tables of numbers as CSV with the unit in each heading: loadings over time, and measures of them.
+"""Tables of numbers as CSV with the unit in each heading: loadings over time, and measures.
 
-The loadings table is the recorded motion of a face; `data_spec/loadings-table.md` describes it. Numbers are
+The loadings table is the recorded motion of a face; `data_spec/loadings-table.md` describes it. Each number is
 written as the shortest text that reads back to the same 64-bit value.
 """
 
@@ -26,15 +26,19 @@ LOADINGS_VERSION = 1
 LOADINGS_UNIT = "sd"
 FRAME_COLUMN = "frame"
 COMPONENT_COLUMN = re.compile(r"pc([0-9]{3,})_sd")
-TEXT_COLUMNS = ("frame", "clip", "identity", "name")  # never read as numbers: a frame may be called 0001
+TEXT_COLUMNS = ("frame", "clip", "identity", "name")  # never read as numbers: 0001 may name a frame
 
 
 @dataclass(frozen=True, eq=False)
 class LoadingsTable:
-    """Loadings `loadings_sd` (n, k) in SD of each component, one row a frame of `frame_names`.
+    """Loadings as read from a table.
 
-    `document` is what the JSON file beside the table tells (model, identity, where it came from), or None
-    where there is no such file: then nothing says which model the loadings belong to.
+    Attributes
+    ----------
+    frame_names : tuple of n str
+    loadings_sd : array (n, k), SD of each component
+    document : mapping or None
+        The JSON file beside the table (model, identity, origin). Without it the model of the loadings is unknown.
     """
 
     frame_names: tuple[str, ...]
@@ -45,25 +49,39 @@ class LoadingsTable:
 def write_loadings_table(
     path: str | Path, loadings_sd: LoadingTable, frame_names: Sequence[str], document: Mapping[str, Any]
 ) -> None:
-    """Write loadings (n, k) in SD as CSV, and `document` as JSON under the same name, each whole or not at
-    all.
+    """Write loadings as CSV and their description as JSON beside it, each file completely or not at all.
 
-    The JSON gets `format`, `version`, `unit`, `frame_count` and `component_count` beside what `document`
-    holds; a `frame_rate_hz` of None is left out. Raises `BadInput` (another suffix than `.csv`, shapes that
-    disagree, repeated names, values that are not finite) and `UnwritableFile`.
+    Parameters
+    ----------
+    path : str or Path
+        Ends in `.csv`.
+    loadings_sd : array (n, k), SD
+    frame_names : n unique str
+    document : mapping
+        `format`, `version`, `unit`, `frame_count` and `component_count` are added; a `frame_rate_hz` of None is left
+        out.
+
+    Raises
+    ------
+    BadInput
+        If the suffix is another, shapes disagree, a name is repeated or a value is not finite.
+    UnwritableFile
+        If the folder or disk refuses a file.
     """
     path = _csv_path(path)
     loadings = np.asarray(loadings_sd, np.float64)
     names = [str(name) for name in frame_names]
     if loadings.ndim != 2 or loadings.shape[0] != len(names):
         raise BadInput(
-            f"cannot write {path}: loadings of shape {loadings.shape} do not fit {len(names)} frame names"
+            f"cannot write {path}: the loadings have the shape {loadings.shape}; expected ({len(names)}, k), one row "
+            "per frame name. Supply one name per frame"
         )
     _check_names(path, names)
     if not np.isfinite(loadings).all():
         row, column = np.argwhere(~np.isfinite(loadings))[0]
         raise BadInput(
-            f"cannot write {path}: {_heading(column)} of frame {names[row]} is {loadings[row, column]}"
+            f"cannot write {path}: {_heading(column)} of frame {names[row]} is {loadings[row, column]}; expected a "
+            "finite number. Correct it"
         )
     headings = [FRAME_COLUMN, *map(_heading, range(loadings.shape[1]))]
     rows = [[name, *map(repr, row)] for name, row in zip(names, loadings.tolist(), strict=True)]
@@ -75,15 +93,19 @@ def write_loadings_table(
         "component_count": loadings.shape[1],
     }
     write_text(path, _csv_text(headings, rows))
-    told = {key: value for key, value in document.items() if key != "frame_rate_hz" or value is not None}
-    write_text(path.with_suffix(".json"), json_text({**told, **ours}))
+    given = {key: value for key, value in document.items() if key != "frame_rate_hz" or value is not None}
+    write_text(path.with_suffix(".json"), json_text({**given, **ours}))
 
 
 def read_loadings_table(path: str | Path) -> LoadingsTable:
-    """Read a loadings table; the values are bit-equal to those written.
+    """Read a loadings table. The values are bit-equal to those written; `document` is None if there is no JSON file.
 
-    The JSON file beside it may be missing (a table typed by hand): `document` is then None. Raises
-    `UnreadableFile`, and `BadInput` naming the row and column of what is wrong.
+    Raises
+    ------
+    UnreadableFile
+        If a file cannot be read.
+    BadInput
+        If an entry is wrong; the message names its row and column.
     """
     path = _csv_path(path)
     headings, rows = _read_csv(path)
@@ -104,32 +126,48 @@ def read_loadings_table(path: str | Path) -> LoadingsTable:
 
 
 def write_metrics_table(path: str | Path, columns: Mapping[str, Sequence[Any]]) -> None:
-    """Write columns of texts or numbers as CSV; the unit belongs in each name, as in `distance_px`.
+    """Write columns of texts or numbers as CSV. None and NaN become empty cells.
 
-    None and NaN become empty cells. Raises `BadInput` where columns differ in length, and `UnwritableFile`.
+    Parameters
+    ----------
+    path : str or Path
+        Ends in `.csv`.
+    columns : mapping of name to n values
+        A name includes the unit, as in `distance_px`.
+
+    Raises
+    ------
+    BadInput
+        If there are no columns, or they differ in length.
+    UnwritableFile
+        If the folder or disk refuses the file.
     """
     path = _csv_path(path)
     lengths = {name: len(values) for name, values in columns.items()}
     if not lengths:
-        raise BadInput(f"cannot write {path}: there are no columns")
+        raise BadInput(f"cannot write {path}: there are no columns; expected at least one. Add one")
     first, count = next(iter(lengths.items()))
     for name, length in lengths.items():
         if length != count:
-            raise BadInput(f"cannot write {path}: column {name} has {length} rows, {first} has {count}")
+            raise BadInput(
+                f"cannot write {path}: column {name} has {length} rows; expected {count} as in {first}. Correct it"
+            )
     cells = [[_cell(value) for value in values] for values in columns.values()]
     write_text(path, _csv_text(list(columns), [list(row) for row in zip(*cells, strict=True)]))
 
 
 def read_metrics_table(path: str | Path) -> dict[str, list[str] | list[float]]:
-    """Read a table of measures: a column is of numbers (an empty cell is NaN) where every cell is one, else
-    of texts.
+    """Read a table of measures as columns by name.
 
-    The columns frame, clip, identity and name are always texts. Raises `UnreadableFile` and `BadInput`.
+    A column whose cells are all numbers or empty is a list of floats (empty is NaN), any other a list of texts. The
+    columns frame, clip, identity and name are always texts. Raises `UnreadableFile` and `BadInput`.
     """
     path = _csv_path(path)
     headings, rows = _read_csv(path)
     if len(set(headings)) < len(headings):
-        raise BadInput(f"{path}: a column name appears twice in {', '.join(headings)}")
+        raise BadInput(
+            f"{path}: the columns are {', '.join(headings)}; expected unique names. Rename the repeated one"
+        )
     table: dict[str, list[str] | list[float]] = {}
     for place, heading in enumerate(headings):
         cells = [row[place] for row in rows]
@@ -146,7 +184,7 @@ def _heading(component: int) -> str:
 def _csv_path(path: str | Path) -> Path:
     path = Path(path)
     if path.suffix.lower() != ".csv":
-        raise BadInput(f"{path} does not end in .csv: a table is a CSV file")
+        raise BadInput(f"{path} is not a table by its name; expected .csv. Rename it")
     return path
 
 
@@ -159,44 +197,45 @@ def _csv_text(headings: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
 
 
 def _read_csv(path: Path) -> tuple[list[str], list[list[str]]]:
-    """Give the headings and the rows, every row as long as the headings; a byte order mark is passed over."""
+    """Return the headings and the rows, all of one length. A byte order mark is skipped."""
     try:
         with path.open(encoding="utf-8-sig", newline="") as file:
             lines = [row for row in csv.reader(file, strict=True) if row]
     except OSError as error:
         raise UnreadableFile(
-            f"cannot read {path}: {error.strerror}; check the name and the permissions"
+            f"cannot read {path}: {error.strerror}. Check the name and the permissions"
         ) from error
     except (UnicodeDecodeError, csv.Error) as error:
-        raise UnreadableFile(f"{path} is not a CSV text in UTF-8: {error}; export it again") from error
+        raise UnreadableFile(f"{path} is not a CSV text in UTF-8: {error}. Export it again") from error
     if not lines:
-        raise UnreadableFile(f"{path} is empty: a first row of column names was expected")
+        raise UnreadableFile(f"{path} is empty; expected a first row of column names. Export it again")
     headings, *rows = lines
     for line, row in enumerate(rows, start=2):
         if len(row) != len(headings):
             raise BadInput(
-                f"{path}: row {line} has {len(row)} cells, the first row names {len(headings)} columns"
+                f"{path}: row {line} has {len(row)} cells; expected {len(headings)} as in the first row. Correct it"
             )
     return headings, rows
 
 
 def _check_headings(path: Path, headings: Sequence[str]) -> int:
-    """Give the number of components; the columns are the frame, then pc001_sd and on without gap."""
+    """Return the number of components. Check that the columns are the frame, then pc001_sd and on without gap."""
     if headings[0] != FRAME_COLUMN:
-        raise BadInput(f"{path}: the first column is {headings[0]!r}, {FRAME_COLUMN!r} was expected")
+        raise BadInput(f"{path}: the first column is {headings[0]!r}; expected {FRAME_COLUMN!r}. Rename it")
     if len(headings) == 1:
-        raise BadInput(f"{path}: there is no component column, {_heading(0)} and on were expected")
+        raise BadInput(
+            f"{path}: there is no component column; expected {_heading(0)} and on. Export it again"
+        )
     for place, heading in enumerate(headings[1:]):
         if not COMPONENT_COLUMN.fullmatch(heading):
             raise BadInput(
-                f"{path}: column {heading!r} is not a loading in SD, {_heading(place)!r} was expected there"
+                f"{path}: column {heading!r} is not a loading in SD; expected {_heading(place)!r}. Rename it"
             )
         if heading in headings[1 : place + 1]:
-            raise BadInput(f"{path}: column {heading} appears twice")
+            raise BadInput(f"{path}: column {heading} is repeated; expected unique names. Remove one")
         if heading != _heading(place):
             raise BadInput(
-                f"{path}: column {heading} stands where {_heading(place)} was expected: "
-                "no component may be left out"
+                f"{path}: column {place + 2} is {heading}; expected {_heading(place)}. Include all components in order"
             )
     return len(headings) - 1
 
@@ -205,32 +244,32 @@ def _check_names(path: Path, names: Sequence[str]) -> None:
     seen: set[str] = set()
     for name in names:
         if name in seen:
-            raise BadInput(f"{path}: frame {name!r} appears twice: each row needs a name of its own")
+            raise BadInput(f"{path}: frame {name!r} is repeated; expected unique names. Rename it")
         seen.add(name)
 
 
 def _check_document(path: Path, beside: Path, document: Mapping[str, Any], shape: tuple[int, ...]) -> None:
     check_format(beside, document, LOADINGS_FORMAT, LOADINGS_VERSION)
     if document.get("unit") != LOADINGS_UNIT:
-        raise BadInput(f"{beside}: the unit is {document.get('unit')!r}, {LOADINGS_UNIT!r} was expected")
+        raise BadInput(
+            f"{beside}: the unit is {document.get('unit')!r}; expected {LOADINGS_UNIT!r}. Encode the clip again"
+        )
     if document.get("component_count", shape[1]) < shape[1]:
         raise BadInput(
-            f"{beside} says component_count {document['component_count']}, {path} has {shape[1]}: "
-            "the two files do not belong together"
+            f"{beside} has component_count {document['component_count']}; expected the {shape[1]} of {path}. "
+            "Use files that belong together"
         )
 
 
 def _number(path: Path, line: int, heading: str, cell: str) -> float:
     value = _float_or_none(cell)
     if value is None or not np.isfinite(value):
-        raise BadInput(f"{path}: row {line}, column {heading} is {cell!r}, a number was expected")
+        raise BadInput(f"{path}: row {line}, column {heading} is {cell!r}; expected a number. Correct it")
     return value
 
 
 def _float_or_none(cell: str) -> float | None:
-    if (
-        not cell.isascii() or "_" in cell
-    ):  # Python takes 1_0 and digits of other scripts, which no table means
+    if not cell.isascii() or "_" in cell:  # Python also accepts 1_0 and digits of other scripts
         return None
     try:
         return float(cell)

@@ -1,9 +1,8 @@
-"""Video in and out, frame-exact: every frame is decoded in order, none is sought, dropped or repeated (ours).
+"""Read and write video, exact to the frame: all frames are decoded in order; none is skipped or repeated (ours).
 
-Seeking lands on the wrong frame in many real files and the frame count in a header is a guess, so frames are
-always decoded from the start and counted by decoding. Colour follows the file's own flags (BT.601, BT.709,
-BT.2020; limited or full range); a file without a matrix flag is taken as BT.709 from 720 lines on and as
-BT.601 below.
+Seeking reaches the wrong frame in many files, and the frame count in a header is an estimate. Frames are therefore
+decoded from the start and counted. Colour conversion follows the flags of the file (BT.601, BT.709, BT.2020; limited
+or full range). A file without a matrix flag is taken as BT.709 from 720 lines on, as BT.601 below.
 """
 
 from __future__ import annotations
@@ -28,13 +27,13 @@ Encoding = Literal["people", "lossless"]
 
 PEOPLE_SUFFIXES = (".mp4", ".mov", ".mkv")
 LOSSLESS_SUFFIXES = (".mkv", ".mp4")
-PEOPLE_CRF = 14  # x264's visually lossless region
-ENCODER_THREADS = 4  # a constant: the bytes depend on the number of threads, never on the machine's cores
-RATE_DENOMINATOR = 1001  # holds 30000/1001 and its kin exactly
-HD_HEIGHT = 720  # px; unflagged video at least this high is BT.709, as players assume
-BT601, BT709, BT2020, MPEG_RANGE = 5, 1, 9, 1  # the numbers of ITU-T H.273 as libav uses them
-MATRICES = {1: BT709, 4: 4, 5: BT601, 6: BT601, 7: 7, 9: BT2020, 10: BT2020}  # flag -> matrix swscale knows
-EBML_HEADER, SEGMENT = 0x1A45DFA3, 0x18538067  # Matroska element numbers (RFC 8794, RFC 9559)
+PEOPLE_CRF = 14  # x264's rate factor, 0 to 51; visually lossless
+ENCODER_THREADS = 4  # fixed, because the bytes depend on the number of threads
+RATE_DENOMINATOR = 1001  # represents 30000/1001 and other NTSC rates exactly
+HD_HEIGHT = 720  # px; players take unflagged video of this height or more as BT.709
+BT601, BT709, BT2020, MPEG_RANGE = 5, 1, 9, 1  # code points of ITU-T H.273 in libav
+MATRICES = {1: BT709, 4: 4, 5: BT601, 6: BT601, 7: 7, 9: BT2020, 10: BT2020}  # flag -> matrix of swscale
+EBML_HEADER, SEGMENT = 0x1A45DFA3, 0x18538067  # Matroska element identifiers (RFC 8794, RFC 9559)
 MP4_FIRST_BOXES = (b"ftyp", b"moov", b"mdat", b"free", b"skip", b"wide")
 HDR_CURVES = {16: "PQ", 18: "HLG"}
 PRECISE = (
@@ -48,8 +47,13 @@ PRECISE = (
 
 @dataclass(frozen=True, eq=False)
 class VideoInfo:
-    """What a video holds: `frame_count` counted by decoding, `frame_rate_hz` on average, `size` (width,
-    height) px.
+    """The frames of a video.
+
+    Attributes
+    ----------
+    frame_count : int, counted by decoding
+    frame_rate_hz : float, the mean rate
+    size : (width, height) px, upright
     """
 
     frame_count: int
@@ -58,9 +62,7 @@ class VideoInfo:
 
 
 def video_info(path: str | Path) -> VideoInfo:
-    """Decode a video once and describe it. Raises `UnreadableFile` where it is missing, damaged or has no
-    picture.
-    """
+    """Decode a video once and return its size, rate and frame count. Raises `UnreadableFile`."""
     path = Path(path)
     count, rate_hz, size = 0, 0.0, (0, 0)
     for frame, stream_rate_hz in _decoded(path):
@@ -71,15 +73,25 @@ def video_info(path: str | Path) -> VideoInfo:
 
 
 def read_frames(path: str | Path, indices: Sequence[int] | None = None) -> Iterator[Image]:
-    """Yield frames as (h, w, 3) float32, sRGB-coded in [0, 1]; all of them, or those of `indices` in that
-    order.
+    """Yield frames as (h, w, 3) float32, sRGB-coded in [0, 1], one at a time.
 
-    One frame is held at a time. `indices` count from 0 and may repeat; where they fall back the video is
-    decoded again from its start. The rotation that phones store is applied; more than 8 bits a channel are
-    kept.
+    The rotation that phones store is applied. More than 8 bits per channel are kept.
 
-    Raises `UnreadableFile` (missing, damaged), `BadInput` (an index beyond the end, HDR video) and
-    `SizeMismatch` (the picture changes size on the way).
+    Parameters
+    ----------
+    path : str or Path
+    indices : sequence of int, from 0, or None for all frames
+        The order is kept and repetitions are allowed; where an index decreases, the video is decoded again from its
+        start.
+
+    Raises
+    ------
+    UnreadableFile
+        If the file is missing or damaged.
+    BadInput
+        If an index is beyond the end, or the video is HDR.
+    SizeMismatch
+        If frames differ in size.
     """
     path = Path(path)
     if indices is None:
@@ -87,7 +99,7 @@ def read_frames(path: str | Path, indices: Sequence[int] | None = None) -> Itera
         return
     wanted = [int(index) for index in indices]
     if any(index < 0 for index in wanted):
-        raise BadInput(f"{path}: frame {min(wanted)} was asked for, but frames count from 0")
+        raise BadInput(f"{path}: the frame is {min(wanted)}; expected 0 or more. Count frames from 0")
     for run in _rising_runs(wanted):
         yield from _images_of_run(path, run)
 
@@ -98,89 +110,108 @@ def write_video(
     *,
     frame_rate_hz: float = 25.0,
     encoding: Encoding = "people",
-    told: Mapping[str, str] | None = None,
+    metadata: Mapping[str, str] | None = None,
 ) -> int:
-    """Write images as a video, whole or not at all, and give the number of values that were clipped to [0,
-    1].
+    """Write images as a video, completely or not at all, and return the number of values that were clipped to [0, 1].
 
-    `told` are texts for the file's own metadata, under keys the container knows (`comment`, `copyright`).
+    Parameters
+    ----------
+    path : str or Path
+    frames : iterable of arrays (h, w, 3), sRGB-coded, of one size
+    frame_rate_hz : float
+    encoding : "people" or "lossless"
+        "people" is visually lossless H.264 (crf 14, yuv420p, BT.709) for all players; the last column or row is
+        repeated if
+        the width or height is odd. "lossless" keeps the 8-bit codes: FFV1 for `.mkv`, H.264 RGB with crf 0 for
+        `.mp4`.
+    metadata : mapping of key to text, or None
+        Keys are those of the container, such as `comment` and `copyright`.
 
-    `people` is visually lossless H.264 (crf 14, yuv420p, BT.709) that every player shows; an odd width or
-    height is padded by repeating the last column or row. `lossless` keeps the 8-bit codes exactly: FFV1 for
-    `.mkv`, H.264 RGB with crf 0 for `.mp4`. The same images give the same bytes.
+    Returns
+    -------
+    int
+        As `codes_of` counts. Equal images give equal bytes.
 
-    Raises `BadInput` (no frames, suffix, rate, not an image), `SizeMismatch` (frames that differ in size) and
-    `UnwritableFile`. Source: ours.
+    Raises
+    ------
+    BadInput
+        If there are no frames, one is no image, or the suffix or rate is not possible.
+    SizeMismatch
+        If frames differ in size.
+    UnwritableFile
+        If the folder or disk refuses the file.
     """
     path = Path(path)
     suffixes = {"people": PEOPLE_SUFFIXES, "lossless": LOSSLESS_SUFFIXES}.get(encoding)
     if suffixes is None:
-        raise BadInput(f"encoding '{encoding}' is neither 'people' nor 'lossless'")
+        raise BadInput(f"the encoding is '{encoding}'; expected 'people' or 'lossless'. Choose one")
     if path.suffix.lower() not in suffixes:
         raise BadInput(
-            f"cannot write {path} as {encoding} video: use one of the suffixes {', '.join(suffixes)}"
+            f"cannot write {path} as {encoding} video; expected the suffix {', '.join(suffixes)}. Rename it"
         )
     if not 0 < frame_rate_hz <= 1000:
-        raise BadInput(f"frame rate {frame_rate_hz} Hz is not between 0 and 1000")
+        raise BadInput(f"the frame rate is {frame_rate_hz} Hz; expected above 0 and at most 1000. Change it")
     pending = iter(frames)
     first = next(pending, None)
     if first is None:
-        raise BadInput(f"cannot write {path}: there are no frames")
+        raise BadInput(f"cannot write {path}: there are no frames; expected at least one. Select frames")
     clipped = 0
     try:
         with whole_file(path) as temporary:
             every = itertools.chain([first], pending)
-            clipped = _encode(path, temporary, every, first, frame_rate_hz, encoding, told or {})
+            clipped = _encode(path, temporary, every, first, frame_rate_hz, encoding, metadata or {})
     except av.FFmpegError as error:
         raise UnwritableFile(
-            f"cannot write {path}: {error.strerror}; is the disk full? Nothing was changed"
+            f"cannot write {path}: {error.strerror}. Check the space on the disk; nothing was changed"
         ) from error
     return clipped
 
 
 def video_texts(path: str | Path) -> dict[str, str]:
-    """Give the texts of a video's own metadata, keys in lower case. Raises `UnreadableFile`."""
+    """Return the metadata of a video; keys in lower case. Raises `UnreadableFile`."""
     path = Path(path)
     try:
         with av.open(str(path), metadata_errors="replace") as container:
             return {key.lower(): text for key, text in container.metadata.items()}
     except (av.FFmpegError, OSError) as error:
-        raise UnreadableFile(f"{path} is not a video: {error.strerror or 'no reason given'}") from error
+        raise UnreadableFile(
+            f"{path} is not a video: {error.strerror or 'no reason given'}. Check the name"
+        ) from error
 
 
 def _decoded(path: Path) -> Iterator[tuple[Any, float]]:
-    """Yield each decoded frame with the stream's mean rate; every way of being damaged becomes
-    `UnreadableFile`.
-    """
+    """Yield each decoded frame with the stream's mean rate. Raise `UnreadableFile` for any damage."""
     _check_whole(path)
     count = 0
     try:
         with av.open(str(path)) as container:
             if not container.streams.video:
-                raise UnreadableFile(f"{path} has no picture track: give a video or a folder of images")
+                raise UnreadableFile(
+                    f"{path} has no video track; expected one. Use another video or a folder of images"
+                )
             stream = container.streams.video[0]
             stream.thread_type = "AUTO"
             stream.codec_context.options = {"err_detect": "explode"}
             rate = stream.average_rate or stream.guessed_rate or 0
             for frame in container.decode(stream):
                 if frame.is_corrupt:
-                    raise UnreadableFile(f"{path} is damaged at frame {count}: copy it again")
+                    raise UnreadableFile(f"{path} is damaged at frame {count}. Copy it again")
                 yield frame, float(rate)
                 count += 1
     except (av.FFmpegError, OSError) as error:
         reason = error.strerror or "no reason given"
         raise UnreadableFile(
-            f"{path} is damaged or not a video: {reason} after {count} frames; copy it again"
+            f"{path} is damaged or not a video: {reason} after {count} frames. Copy it again"
         ) from error
     if count == 0:
-        raise UnreadableFile(f"{path} holds no frames: copy it again")
+        raise UnreadableFile(f"{path} holds no frames; expected at least one. Copy it again")
 
 
 def _check_whole(path: Path) -> None:
-    """Raise `UnreadableFile` where a file is empty, or shorter than the lengths of its own parts add up to.
+    """Raise `UnreadableFile` if a file is empty, or shorter than the sum of the lengths that its parts declare.
 
-    libav ends without an error where a Matroska or WebM file was cut, and where an AVI, or an MP4 with its index in
-    front, was cut between two frames: the clip would lose its last expressions. An MPEG stream holds no such length.
+    libav reports no error for a truncated Matroska or WebM file, nor for an AVI or an MP4 with leading index
+    truncated between two frames. The clip would lose its last expressions. An MPEG stream declares no length.
     """
     try:
         size = path.stat().st_size
@@ -196,12 +227,12 @@ def _check_whole(path: Path) -> None:
                 needed = _parts_end(file, size, _riff_bytes)
     except OSError as error:
         raise UnreadableFile(
-            f"cannot read {path}: {error.strerror}; check the name and the permissions"
+            f"cannot read {path}: {error.strerror}. Check the name and the permissions"
         ) from error
     if size == 0:
-        raise UnreadableFile(f"{path} is empty (0 bytes): copy it again")
+        raise UnreadableFile(f"{path} is empty (0 bytes). Copy it again")
     if needed > size:
-        raise UnreadableFile(f"{path} is cut short: {needed} bytes expected, {size} found; copy it again")
+        raise UnreadableFile(f"{path} is cut short: it has {size} bytes; expected {needed}. Copy it again")
 
 
 def _parts_end(file: BinaryIO, size: int, bytes_of: Callable[[bytes], int]) -> int:
@@ -210,7 +241,7 @@ def _parts_end(file: BinaryIO, size: int, bytes_of: Callable[[bytes], int]) -> i
     while place + 8 <= size:
         file.seek(place)
         length = bytes_of(file.read(16))
-        if length < 8:  # the part reaches to the end of the file, or is padding
+        if length < 8:  # the part extends to the end of the file, or is padding
             return size
         place += length
     return place
@@ -226,7 +257,7 @@ def _riff_bytes(head: bytes) -> int:
 
 
 def _matroska_end(file: BinaryIO) -> int:
-    """Return where the segment ends; a live recording of unknown length counts as whole."""
+    """Return where the segment ends; 0 for a live recording, whose length is unknown."""
     _read_number(file)
     _, header_length, _ = _read_number(file)
     file.seek(header_length, 1)
@@ -237,7 +268,7 @@ def _matroska_end(file: BinaryIO) -> int:
 
 
 def _read_number(file: BinaryIO) -> tuple[int, int, int]:
-    """Read an EBML number: with its width marker (the name of an element), without it (a length), its width, bytes."""
+    """Read an EBML number: with its width marker (an identifier), without it (a length), and its width in bytes."""
     first = file.read(1)
     if not first or first[0] == 0:
         return 0, 0, 0
@@ -252,15 +283,15 @@ def _images(path: Path, wanted: frozenset[int] | None) -> Iterator[tuple[int, Im
         size = size or (frame.width, frame.height)
         if (frame.width, frame.height) != size:
             raise SizeMismatch(
-                f"{path}: frame {index} is {frame.width} x {frame.height}, frame 0 is {size[0]} x {size[1]}: "
-                "convert the video to one size"
+                f"{path}: frame {index} has {frame.width} x {frame.height} px; expected {size[0]} x {size[1]} as in "
+                "frame 0. Convert the video to one size"
             )
         if wanted is None or index in wanted:
             yield index, _image_of(path, frame)
 
 
 def _images_of_run(path: Path, run: Sequence[int]) -> Iterator[Image]:
-    """Yield the frames of a run of indices that never falls, in one pass."""
+    """Yield the frames of a run of non-decreasing indices in one pass."""
     place = 0
     for index, image in _images(path, frozenset(run)):
         while place < len(run) and run[place] == index:
@@ -268,7 +299,9 @@ def _images_of_run(path: Path, run: Sequence[int]) -> Iterator[Image]:
             place += 1
         if place == len(run):
             return
-    raise BadInput(f"{path}: frame {run[place]} was asked for, the video ends before it: see its frame count")
+    raise BadInput(
+        f"{path}: the frame is {run[place]}; expected one before the end of the video. Count frames from 0"
+    )
 
 
 def _rising_runs(indices: Sequence[int]) -> Iterator[list[int]]:
@@ -286,8 +319,8 @@ def _image_of(path: Path, frame: Any) -> Image:
     """Convert one decoded frame by its own matrix and range flags."""
     if frame.color_trc in HDR_CURVES:
         raise BadInput(
-            f"{path} is HDR video ({HDR_CURVES[frame.color_trc]}), its colours are not sRGB: "
-            "export it as standard dynamic range (Rec. 709) first"
+            f"{path} is HDR video ({HDR_CURVES[frame.color_trc]}); expected standard dynamic range. "
+            "Export it as Rec. 709"
         )
     is_deep = max(component.bits for component in frame.format.components) > 8
     matrix = MATRICES.get(frame.colorspace, BT709 if frame.height >= HD_HEIGHT else BT601)
@@ -303,7 +336,7 @@ def _image_of(path: Path, frame: Any) -> Image:
 
 
 def _quarter_turns(frame: Any) -> int:
-    """Give how many quarter turns counter-clockwise put the picture upright, from the display matrix."""
+    """Return the number of counter-clockwise quarter turns to the upright image, from the display matrix."""
     return int(round(frame.rotation / 90) % 4)
 
 
@@ -319,19 +352,19 @@ def _encode(
     first: Image,
     frame_rate_hz: float,
     encoding: Encoding,
-    told: Mapping[str, str],
+    metadata: Mapping[str, str],
 ) -> int:
     rate = Fraction(frame_rate_hz).limit_denominator(RATE_DENOMINATOR)
     clipped = 0
     with av.open(str(temporary), "w", options={"fflags": "+bitexact"}) as container:
-        container.metadata.update(told)
+        container.metadata.update(metadata)
         stream = _add_stream(container, path.suffix.lower(), rate, encoding)
         for index, image in enumerate(frames):
             check_image(image, f"{path}, frame {index}")
             if image.shape != first.shape:
                 raise SizeMismatch(
-                    f"cannot write {path}: frame {index} is {image.shape[1]} x {image.shape[0]}, "
-                    f"frame 0 is {first.shape[1]} x {first.shape[0]}: make them one size"
+                    f"cannot write {path}: frame {index} is {image.shape[1]} x {image.shape[0]} px; expected "
+                    f"{first.shape[1]} x {first.shape[0]} as frame 0. Bring all to one size"
                 )
             codes, outside = codes_of(image, 8)
             clipped += outside
@@ -360,7 +393,7 @@ def _add_stream(container: Any, suffix: str, rate: Fraction, encoding: Encoding)
     if encoding == "people":
         stream = container.add_stream("libx264", rate=rate)
         stream.pix_fmt = "yuv420p"
-        # without macroblock-tree rate control, which with AVX-512 gives other bytes from run to run
+        # Macroblock-tree rate control with AVX-512 gives other bytes from run to run.
         stream.options = {"crf": str(PEOPLE_CRF), "preset": "medium", "mbtree": "0"}
         stream.codec_context.colorspace = BT709
         stream.codec_context.color_primaries = BT709
@@ -373,7 +406,7 @@ def _add_stream(container: Any, suffix: str, rate: Fraction, encoding: Encoding)
             "level": "3",
             "slices": "4",
             "slicecrc": "1",
-        }  # a checksum a slice shows damage on reading
+        }  # a checksum per slice reveals damage on reading
     else:
         stream = container.add_stream("libx264rgb", rate=rate)
         stream.pix_fmt = "rgb24"

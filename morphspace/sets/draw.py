@@ -136,7 +136,7 @@ def draw_file(
 
     encoding: Literal["lossless", "people"] = "lossless" if drawing.suffix == ".mkv" else "people"
     rate = drawing.frame_rate_hz
-    clipped = write_video(path, images(), frame_rate_hz=rate, encoding=encoding, told=texts)
+    clipped = write_video(path, images(), frame_rate_hz=rate, encoding=encoding, metadata=texts)
     shown = _Shown(path)
     statistics = image_statistics(shown.codes())
     return Drawn(len(drawing.loadings_sd), shown.size, clipped, folded[0], statistics)

@@ -71,9 +71,9 @@ class _Book:
         check_name(name)
         if name.casefold() in self.names:
             taken, other = self.names[name.casefold()]
-            whose = "this entry" if other is job else other.told
+            whose = "this entry" if other is job else other.label
             raise BadInput(
-                f"{job.told} makes a stimulus called {name!r}, and {whose} makes {taken!r}: put what tells "
+                f"{job.label} makes a stimulus called {name!r}, and {whose} makes {taken!r}: put what tells "
                 f"them apart into the name; there are {', '.join(f'{{{place}}}' for place in places)}"
             )
         self.names[name.casefold()] = (name, job)
@@ -112,7 +112,7 @@ def planned_recipe(recipe: Recipe, folder: Path, most: int | None) -> Steps[Plan
         except BadInput as error:
             words = str(error)
             has_line = words.startswith(f"{recipe.path} line ") or job.where in words
-            raise type(error)(words if has_line else f"{job.told}: {words}") from error
+            raise type(error)(words if has_line else f"{job.label}: {words}") from error
         _check_count(book.drawings + len(folders), most, "stimuli")
         yield Step("plan", done, recipe.job_count)
     _check_folders(folders, book)
@@ -172,7 +172,7 @@ def _requests(job: Job, verb: Verb, recipe: Recipe, output: Path) -> tuple[Any, 
         named, frame = _named(words, recipe)
         path = recipe.path.parent / named
         if not _is_pattern(named) and not path.exists():
-            raise BadInput(f"{job.told}: {named} is not there: paths are taken from the recipe's folder")
+            raise BadInput(f"{job.label}: {named} is not there: paths are taken from the recipe's folder")
         return path.with_name(path.name + frame)
 
     def telling(words: str) -> Path:
@@ -182,7 +182,7 @@ def _requests(job: Job, verb: Verb, recipe: Recipe, output: Path) -> tuple[Any, 
         request = request_from(verb.request, job.settings, opening, output=output)
         told = request_from(verb.request, job.settings, telling, output=output)
     except WrongSetting as error:
-        where = job.lines.get(error.name, job.told)
+        where = job.lines.get(error.name, job.label)
         raise BadInput(f"{where}: {error.called(f'{error.name} of {job.verb}')}") from error
     return request, request_document(told)
 
@@ -309,6 +309,6 @@ def _check_folders(folders: Sequence[FolderJob], book: _Book) -> None:
             owner = owners.get("/".join(parts[:depth]))
             if owner is not None:
                 raise BadInput(
-                    f"{job.told} makes {shown!r} inside a folder that {owner} fills by itself: give one of them "
+                    f"{job.label} makes {shown!r} inside a folder that {owner} fills by itself: give one of them "
                     "another name"
                 )

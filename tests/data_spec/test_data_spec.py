@@ -13,14 +13,7 @@ import safetensors
 
 from morphspace.errors import BadInput, ModelFileError
 from morphspace.face.mesh import LANDMARKS
-from morphspace.io.sidecars import (
-    MarkedFaceframe,
-    Sidecar,
-    read_faceframe,
-    read_sidecar,
-    write_faceframe,
-    write_sidecar,
-)
+from morphspace.io.sidecars import MarkedFaceframe, Sidecar, read_faceframe, read_sidecar, write_sidecar
 from morphspace.io.tables import read_loadings_table, write_loadings_table
 from morphspace.model.file import OPTIONAL_ARRAY_KINDS
 from morphspace.model.model import load_model
@@ -50,7 +43,9 @@ def written(kind: str, folder: Path) -> dict:
         faceframe = MarkedFaceframe("frame_0001", POINTS)
         write_sidecar(path, Sidecar("actor-07", 25.0, "research", "CC BY 4.0", faceframe, {"camera": "left"}))
     elif kind == "faceframe":
-        write_faceframe(path, MarkedFaceframe("frame_0001.png", POINTS, (40, 50)))
+        points = dict(zip(("right_eye", "left_eye", "philtrum"), POINTS.tolist(), strict=True))
+        head = {"format": "morphspace-faceframe", "version": 1, "image": "frame_0001.png", "size": [40, 50]}
+        path.write_text(json.dumps({**head, **points}))
     else:
         document = {"model_id": "0f3a", "identity": "actor-07", "frame_rate_hz": 25.0}
         write_loadings_table(path.with_suffix(".csv"), np.array([[0.5, -1.0]]), ["frame_0001"], document)
@@ -65,7 +60,7 @@ def read(kind: str, folder: Path) -> object:
     return read_loadings_table(folder / "file.csv")
 
 
-@pytest.mark.parametrize("kind", OURS)
+@pytest.mark.parametrize("kind", ["clip-folder", "loadings-table"])
 def test_what_the_package_writes_fits_the_schema(kind, tmp_path):
     validator_of(kind).validate(written(kind, tmp_path))
 
@@ -136,7 +131,7 @@ def test_the_example_table_on_the_page_reads(tmp_path):
     assert read_loadings_table(tmp_path / "file.csv").loadings_sd.shape == (2, 3)
 
 
-def test_sidecar_and_faceframe_round_trip(tmp_path):
+def test_a_sidecar_round_trips_and_a_faceframe_is_read(tmp_path):
     written("clip-folder", tmp_path)
     sidecar = read_sidecar(tmp_path / "file.json")
     told = (sidecar.identity, sidecar.frame_rate_hz, sidecar.consent, sidecar.licence, sidecar.extra)

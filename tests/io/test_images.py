@@ -189,7 +189,7 @@ def test_a_background_that_is_no_colour_is_refused(tmp_path, background):
 @pytest.mark.parametrize(("mode", "suffix"), [("CMYK", ".jpg"), ("CMYK", ".tif"), ("LAB", ".tif")])
 def test_ink_and_lab_are_refused(tmp_path, mode, suffix):
     Pillow.fromarray(CODES).convert(mode).save(tmp_path / f"a{suffix}")
-    with pytest.raises(BadInput, match=r"stored as (CMYK|CIELAB), not RGB"):
+    with pytest.raises(BadInput, match=r"stored as (CMYK|CIELAB); expected RGB"):
         read_image(tmp_path / f"a{suffix}")
 
 
@@ -237,7 +237,7 @@ def test_an_exr_of_part_of_a_picture_is_refused(tmp_path):
     target.open(str(tmp_path / "a.exr"), spec)
     target.write_image(np.zeros((4, 4, 3), np.float32))
     target.close()
-    with pytest.raises(BadInput, match="4 x 4 pixels of a picture of 8 x 8"):
+    with pytest.raises(BadInput, match=r"data window of 4 x 4 px; .* 8 x 8"):
         read_image(tmp_path / "a.exr")
 
 
@@ -293,7 +293,7 @@ def test_what_is_not_an_image_is_named(tmp_path):
     Pillow.fromarray(CODES).save(tmp_path / "a.gif")
     for name, words in (
         ("text.png", "not a readable image"),
-        ("a.gif", "gif file: convert"),
+        ("a.gif", "gif file; expected"),
         ("gone.png", "No such file"),
         ("", "folder"),
     ):
@@ -435,5 +435,5 @@ def test_bytes_in_memory_are_readable_pictures():
     assert len(coarse) < len(fine)
     codes = cv2.imdecode(np.frombuffer(fine, np.uint8), cv2.IMREAD_UNCHANGED)
     assert_allclose(unit(codes[..., ::-1]), SMOOTH, atol=8 / 255)  # codes: smooth colour at quality 95
-    with pytest.raises(BadInput, match="quality 0"):
+    with pytest.raises(BadInput, match="quality is 0"):
         jpeg_bytes(SMOOTH, 0)

@@ -8,10 +8,10 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from morphspace.errors import BadInput, UnreadableFile
 from morphspace.io.points import TEMPLATES, read_marked_points, read_tps
-from morphspace.io.sidecars import MarkedFaceframe, read_sidecar, write_faceframe
+from morphspace.io.sidecars import MarkedFaceframe, read_sidecar
 
 HEIGHT = 240
-EXCHANGED = "the eyes were exchanged, since the subject's right eye is on the picture's left"
+EXCHANGED = "the eyes were exchanged: the subject's right eye is on the left of the image"
 POINTS = np.array([[78.25, 101.5], [124.0, 100.0], [100.5, 140.75]])
 
 
@@ -85,7 +85,9 @@ def test_a_file_of_another_system_is_read(tmp_path, content):
 
 
 def test_our_own_faceframe_is_read_too(tmp_path):
-    write_faceframe(tmp_path / "a.json", MarkedFaceframe("a.png", POINTS))
+    named = dict(zip(("right_eye", "left_eye", "philtrum"), POINTS.tolist(), strict=True))
+    document = {"format": "morphspace-faceframe", "version": 1, "image": "a.png", **named}
+    (tmp_path / "a.json").write_text(json.dumps(document))
     marked = read_marked_points(tmp_path / "a.json", HEIGHT)
     assert_array_equal(marked.points, POINTS)
     assert marked.lip == "philtrum"
@@ -148,27 +150,43 @@ def test_specimens_are_told_apart_by_their_picture(file):
 @pytest.mark.parametrize(
     ("name", "text", "mentioned"),
     [
-        ("a.tem", "178\n" + "1 2\n" * 178, "178 points, templates of 3, 68, 189"),
+        ("a.tem", "178\n" + "1 2\n" * 178, "178 points; expected a template of 3, 68, 189"),
         ("a.tps", "LM=5\n" + "1 2\n" * 5, "5 points"),
         ("two.csv", "1,2\n3,4\n", "2 points"),
-        ("short.tps", "LM=3\n1 2\n3 4\nID=a\n", "line 1: 3 landmarks are announced"),
-        ("cut.tps", "LM=3\n1 2\n3 4\n", "line 1: 3 landmarks are announced"),
-        ("long.tps", "LM=3\n1 2\n3 4\n5 6\n7 8\n", "line 5: '7 8' follows"),
-        ("curve.tps", tps(POINTS, "CURVES=1\nPOINTS=4\n1 2\n3 4\nID=a\n"), "line 6: 4 points of a curve"),
-        ("swallow.tps", tps(POINTS, "CURVES=1\nPOINTS=999999999\n1 2\n") + tps(POINTS), "line 6: 999999999"),
-        ("wordy.tps", tps(POINTS, "CURVES=1\nPOINTS=1\nleft lip\n"), "line 7: 'left lip'"),
-        ("minus.tps", "LM=-3\n1 2\n3 4\n5 6\n", "line 1: 'LM=-3', LM= and a count"),
-        ("huge.tps", "LM=999999999\n1 2\n", "line 1: 999999999 landmarks are announced"),
-        ("endless.tps", "LM=" + "9" * 5000 + "\n1 2\n", r"line 1: 'LM=9{37}\.\.\.', LM= and a count"),
-        ("half.tps", "LM=2.5\n1 2\n3 4\n", "line 1: 'LM=2.5'"),
-        ("none.tps", "LM=0\nID=a\n", "0 points, templates of 3"),
-        ("solid3.tps", "LM=3\n1 2 3\n1 2 3\n1 2 3\n", "line 2: 3 numbers, 2 were expected"),
-        ("comma.tps", "LM=3\n1,5 2,5\n3 4\n5 6\n", "line 2: 4 numbers, 2 .* decimals with a point"),
+        ("short.tps", "LM=3\n1 2\n3 4\nID=a\n", "line 1 declares 3 landmarks"),
+        ("cut.tps", "LM=3\n1 2\n3 4\n", "line 1 declares 3 landmarks"),
+        ("long.tps", "LM=3\n1 2\n3 4\n5 6\n7 8\n", "line 5 is '7 8'; expected no more"),
+        (
+            "curve.tps",
+            tps(POINTS, "CURVES=1\nPOINTS=4\n1 2\n3 4\nID=a\n"),
+            "line 6 declares 4 points of a curve",
+        ),
+        (
+            "swallow.tps",
+            tps(POINTS, "CURVES=1\nPOINTS=999999999\n1 2\n") + tps(POINTS),
+            "line 6 declares 999999999",
+        ),
+        ("wordy.tps", tps(POINTS, "CURVES=1\nPOINTS=1\nleft lip\n"), "line 7 is 'left lip'"),
+        ("minus.tps", "LM=-3\n1 2\n3 4\n5 6\n", "line 1 is 'LM=-3'; expected LM= and a number"),
+        ("huge.tps", "LM=999999999\n1 2\n", "line 1 declares 999999999 landmarks"),
+        (
+            "endless.tps",
+            "LM=" + "9" * 5000 + "\n1 2\n",
+            r"line 1 is 'LM=9{37}\.\.\.'; expected LM= and a number",
+        ),
+        ("half.tps", "LM=2.5\n1 2\n3 4\n", "line 1 is 'LM=2.5'"),
+        ("none.tps", "LM=0\nID=a\n", "0 points; expected a template of 3"),
+        ("solid3.tps", "LM=3\n1 2 3\n1 2 3\n1 2 3\n", "line 2 has 3 numbers; expected 2"),
+        (
+            "comma.tps",
+            "LM=3\n1,5 2,5\n3 4\n5 6\n",
+            "line 2 has 4 numbers; expected 2, .* decimals with a point",
+        ),
         ("solid.tps", "LM3=3\n1 2 3\n1 2 3\n1 2 3\n", "LM3=3"),
-        ("headless.tps", "1 2\n3 4\n", "line 1: '1 2', LM= and a count"),
-        ("word.tps", "LM=3\n1 2\n3 four\n5 6\n", "line 3: '3 four'"),
-        ("nan.tps", "LM=3\n1 2\n3 nan\n5 6\n", "line 3: .* not finite"),
-        ("a.png", "", "no points file by its name"),
+        ("headless.tps", "1 2\n3 4\n", "line 1 is '1 2'; expected LM= and a number"),
+        ("word.tps", "LM=3\n1 2\n3 four\n5 6\n", "line 3 is '3 four'"),
+        ("nan.tps", "LM=3\n1 2\n3 nan\n5 6\n", "line 3 is .* finite"),
+        ("a.png", "", "not a points file by its name"),
     ],
 )
 def test_what_cannot_be_used_is_named(file, name, text, mentioned):

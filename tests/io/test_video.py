@@ -237,7 +237,7 @@ def test_truncated_avi_is_named(tmp_path):
     assert video_info(path).frame_count == 9
     content = path.read_bytes()
     path.write_bytes(content[: len(content) * 2 // 3])
-    with pytest.raises(UnreadableFile, match=f"cut short: {len(content)} bytes expected"):
+    with pytest.raises(UnreadableFile, match=f"cut short: .* expected {len(content)}"):
         video_info(path)
 
 
@@ -264,14 +264,14 @@ def test_sound_alone_is_refused(tmp_path):
         sound.sample_rate = 8000
         container.mux(stream.encode(sound))
         container.mux(stream.encode(None))
-    with pytest.raises(UnreadableFile, match="no picture track"):
+    with pytest.raises(UnreadableFile, match="no video track"):
         video_info(tmp_path / "a.mkv")
 
 
 def test_frames_beyond_the_end_are_refused(tmp_path):
     write_video(tmp_path / "a.mkv", noise(count=3), encoding="lossless")
     for indices in ([3], [0, 7, 1], [-1]):
-        with pytest.raises(BadInput, match=rf"a\.mkv: frame {max(indices, key=abs)} was asked for"):
+        with pytest.raises(BadInput, match=rf"a\.mkv: the frame is {max(indices, key=abs)}; expected"):
             list(read_frames(tmp_path / "a.mkv", indices))
 
 
@@ -286,7 +286,7 @@ def test_frames_that_are_no_video_are_refused_and_nothing_is_left(tmp_path):
     broken = [good[0], np.full_like(good[0], np.nan)]
     for frames, error, words in (
         ([], BadInput, "no frames"),
-        ([good[0], good[1][:-1]], SizeMismatch, "frame 1 is 61 x 46, frame 0 is 61 x 47"),
+        ([good[0], good[1][:-1]], SizeMismatch, "frame 1 is 61 x 46 px; expected 61 x 47"),
         (broken, BadInput, "frame 1: 8601 of its values are not finite"),
         ([good[0][..., 0]], BadInput, "frame 0: its shape"),
     ):

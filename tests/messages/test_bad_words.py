@@ -11,7 +11,7 @@ from click.testing import CliRunner
 from morphspace.cli.main import main
 from morphspace.face.faceframe import FaceFrame
 from morphspace.flow.pairs import MIN_SIDE_PX
-from morphspace.io.flow_fields import write_flow
+from morphspace.io.flow_fields import write_flows
 from morphspace.io.images import write_image
 from morphspace.model.model import Loadings
 from morphspace.verbs.encode import write_loadings
@@ -52,8 +52,7 @@ def lab(model, picture, tmp_path_factory):
         (folder / name).mkdir()
     ones = np.ones((HEIGHT, WIDTH), np.float32)
     far = np.broadcast_to(np.float32([1e6, 0]), (HEIGHT, WIDTH, 2))
-    write_flow(folder / "far.flo", far, ones)
-    write_flow(folder / "other.flo", 0 * far[1:], ones[1:])
+    write_flows({folder / "far.flo": (far, ones), folder / "other.flo": (0 * far[1:], ones[1:])})
     (folder / "cut.flo").write_bytes((folder / "far.flo").read_bytes()[:-1])
     return folder
 

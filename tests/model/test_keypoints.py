@@ -384,15 +384,15 @@ def test_points_far_from_the_landmarks_give_a_warning(model, saved):
 def test_a_file_of_another_format_says_what_to_write(saved, command, tmp_path):
     (tmp_path / "points.json").write_text('{"shapes": []}')
     refused = command(saved, "--from", tmp_path / "points.json")
-    assert refused.exit_code == 2 and "write both eyes and the philtrum into a .csv" in refused.output
+    assert refused.exit_code == 2 and "write both eyes and the philtrum to a .csv" in refused.output
 
 
 def test_a_marked_point_that_cannot_be_is_named_with_its_value():
     with pytest.raises(
-        BadInput, match=r"the philtrum of the faceframe of f, 30,90, lies outside its picture of 60 x"
+        BadInput, match=r"the philtrum .* of f is 30,90; expected a point in its image of 60 x"
     ):
         MarkedFaceframe("f", np.array([[20.0, 30], [40, 30], [30, 90]]), (60, 72))
-    with pytest.raises(BadInput, match="both eyes are at 20,30: mark"):
+    with pytest.raises(BadInput, match="both eyes are at 20,30; expected"):
         MarkedFaceframe("f", np.array([[20.0, 30], [20, 30], [30, 50]]))
     with pytest.raises(BadInput, match="both eyes are at x 20, one above the other"):
         MarkedFaceframe("f", np.array([[20.0, 30], [20, 40], [30, 50]]))

@@ -28,7 +28,7 @@ from morphspace.flow.pairs import checked_pair, checked_picture, is_featureless,
 from morphspace.flow.starts import WITHOUT_START, StartKind, approximate_inverse, flow_between
 from morphspace.grid import warp
 from morphspace.io import flow_fields
-from morphspace.io.flow_fields import read_flow, write_flow
+from morphspace.io.flow_fields import UNKNOWN_PX, read_flow, write_flows
 from morphspace.io.images import read_image, write_image
 from morphspace.io.tables import read_metrics_table
 from morphspace.linear.quality import forward_backward_px, stays_inside
@@ -184,7 +184,7 @@ def test_where_every_point_leaves_there_is_no_way_back_and_no_nan(folder, asked)
 
 def test_the_method_starts_from_the_start_and_goes_back_from_its_inverse(folder, asked, wavy_field):
     start = wavy_field(HEIGHT, WIDTH, 3.0)
-    write_flow(folder / "start.exr", start, np.ones((HEIGHT, WIDTH), np.float32))
+    write_flows({folder / "start.exr": (start, np.ones((HEIGHT, WIDTH), np.float32))})
     words = (
         folder / "a.png",
         folder / "b.png",
@@ -264,7 +264,7 @@ def test_what_landmarks_do_not_better_stands(folder, marked):
 
 
 def test_a_start_that_is_given_is_the_landmarks_rival(folder, marked):
-    write_flow(folder / "start.flo", field_of(SHIFT_PX, 0), np.ones((HEIGHT, WIDTH), np.float32))
+    write_flows({folder / "start.flo": (field_of(SHIFT_PX, 0), np.ones((HEIGHT, WIDTH), np.float32))})
     figures = told(*with_landmarks(folder, "a.csv", "b.csv", "--start", folder / "start.flo"))
     assert figures["started_from"] == ["start"]  # the landmarks explain no more
     assert [start is None for _, _, start in marked.asked] == [False, False]
@@ -355,7 +355,8 @@ def test_an_approximate_inverse_stays_finite_where_the_field_folds():
 def test_unknown_points_of_a_start_are_at_rest(folder, asked):
     known = np.ones((HEIGHT, WIDTH), bool)
     known[:, :10] = False
-    write_flow(folder / "start.flo", field_of(1, 1), np.ones((HEIGHT, WIDTH), np.float32), known)
+    field = np.where(known[..., None], field_of(1, 1), np.float32(UNKNOWN_PX))
+    (folder / "start.flo").write_bytes(struct.pack("<4sii", b"PIEH", WIDTH, HEIGHT) + field.tobytes())
     result = done(
         folder / "a.png", folder / "b.png", "-o", folder / "o.flo", "--start", folder / "start.flo", *FAST
     )
