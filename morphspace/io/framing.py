@@ -58,7 +58,8 @@ class Framing:
             )
         if min(self.size) < MIN_SIDE_PX:
             raise BadInput(
-                f"the frames have {self.size[0]}x{self.size[1]} px; expected at least {MIN_SIDE_PX}x{MIN_SIDE_PX} for a face. "
+                f"the frames have {self.size[0]}x{self.size[1]} px; expected at least {MIN_SIDE_PX}x{MIN_SIDE_PX} "
+                "for a face. "
                 "Enlarge them, for example to 200x240"
             )
 

@@ -86,7 +86,7 @@ def test_a_crop_that_leaves_the_image_is_refused(crop):
 
 
 def test_frames_too_small_for_a_face_are_refused():
-    with pytest.raises(BadInput, match="too small"):
+    with pytest.raises(BadInput, match="at least 32x32 for a face"):
         Framing((100, 100), None, (31, 200))
 
 
