@@ -401,7 +401,7 @@ def test_the_name_of_every_verb_fits_the_schema_of_a_record():
 
 def test_swapped_eyes_are_exchanged_and_points_outside_are_refused():
     np.testing.assert_array_equal(MarkedFaceframe("a.png", POINTS[[1, 0, 2]]).points, POINTS)
-    with pytest.raises(BadInput, match="outside its picture of 40 x 35"):
+    with pytest.raises(BadInput, match="in its image of 40 x 35"):
         MarkedFaceframe("a.png", POINTS, (40, 35))
     MarkedFaceframe("a.png", POINTS, (40, 36))
     with pytest.raises(BadInput, match="three finite"):
