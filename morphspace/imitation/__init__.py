@@ -1,4 +1,4 @@
-"""Measuring mimicry: how close one sequence of loadings comes to another (Nagle section 5.1). Arrays in, arrays out."""
+"""Measure mimicry: the similarity of two sequences of loadings (Nagle section 5.1). Input and output are arrays."""
 
 from morphspace.imitation.alignment import Alignment, align
 from morphspace.imitation.chance import Baseline

@@ -1,7 +1,7 @@
-"""Dynamic time warping: which frame of an imitation goes with which of the stimulus, and what is left between them.
+"""Dynamic time warping: align the frames of an imitation with those of the stimulus.
 
 Sakoe and Chiba (Dynamic programming algorithm optimization for spoken word recognition, IEEE ASSP 26, 1978), with
-steps of one frame in either sequence or in both, each counted once, and their band.
+their band; a step advances one sequence or both by one frame, and all steps have weight 1.
 """
 
 from __future__ import annotations
@@ -13,19 +13,24 @@ from scipy.spatial.distance import cdist
 
 from morphspace.arrays import AnyArray, LoadingTable
 
-BAND = 0.25  # of the longer sequence: how far alignment may move a frame
+BAND = 0.25  # of the longer sequence; the largest shift of a frame
 BOTH, FIRST, SECOND = (
     0,
     1,
     2,
-)  # which sequence a step of the path goes on in; equal costs take the first named
+)  # the sequence that a step advances; ties take the first of these
 
 
 @dataclass(frozen=True, eq=False)
 class Alignment:
-    """A path through two sequences: frame `path[s, 0]` of the first goes with `path[s, 1]` of the second, (steps, 2).
+    """A path through two sequences.
 
-    `cost` is the sum of the distances between them along the path.
+    Attributes
+    ----------
+    path : array (steps, 2) int
+        Frame `path[s, 0]` of the first sequence is aligned with frame `path[s, 1]` of the second.
+    cost : float
+        The sum of their distances along the path.
     """
 
     path: AnyArray
@@ -33,32 +38,39 @@ class Alignment:
 
     @property
     def straight(self) -> AnyArray:
-        """Where the second sequence would be at each step if both ran evenly, (steps,) frames."""
+        """The frame of the second sequence at each step if both ran evenly, (steps,)."""
         last = self.path[-1]
         return np.asarray(self.path[:, 0] * (last[1] / max(int(last[0]), 1)))
 
     @property
     def timing_rms_frames(self) -> float:
-        """How far the path lies from the straight one, root mean square, frames of the second sequence."""
+        """The rms deviation of the path from the straight one, in frames of the second sequence."""
         return float(np.sqrt(np.mean((self.path[:, 1] - self.straight) ** 2)))
 
     @property
     def delay_frames(self) -> float:
-        """How much later than the straight path the second sequence is on average, frames."""
+        """The mean delay of the second sequence relative to the straight path, frames."""
         return float(np.mean(self.path[:, 1] - self.straight))
 
 
 def align(one: LoadingTable, other: LoadingTable, *, band: float = BAND) -> Alignment:
-    """Find the cheapest path through two sequences (n, k), (m, k), from both first frames to both last.
+    """Find the path of least cost through two sequences (n, k), (m, k), from the first frames to the last.
 
-    The cost of a pair of frames is their Euclidean distance. `band` is the farthest a frame may be moved, as a share
-    of the longer sequence. To compare shapes give sequences that are `standardised`.
+    The cost of a pair of frames is their Euclidean distance. `band` is the largest shift of a frame, as a share of
+    the longer sequence. Apply `standardised` first to compare shapes only.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> found = align(np.array([[0.0], [1], [2]]), np.array([[0.0], [0], [1], [2]]))
+    >>> found.path.tolist(), found.cost
+    ([[0, 0], [0, 1], [1, 2], [2, 3]], 0.0)
     """
     return cheapest_path(distances(one, other), band=band)
 
 
 def cheapest_path(costs: AnyArray, *, band: float = BAND) -> Alignment:
-    """Find the path from the first to the last pair of frames whose costs (n, m) sum to the least, within the band."""
+    """Find the path from the first to the last pair of frames with the least sum of costs (n, m), within the band."""
     n, m = costs.shape
     slope = (m - 1) / max(n - 1, 1)
     reach = max(band * max(n, m), 1.0 + slope)
@@ -86,5 +98,5 @@ def cheapest_path(costs: AnyArray, *, band: float = BAND) -> Alignment:
 
 
 def distances(one: LoadingTable, other: LoadingTable) -> AnyArray:
-    """Give the distance of each row of one from each of the other, (n, m); equal rows give exactly 0."""
+    """Return the distance of each row of one from each of the other, (n, m); exactly 0 for equal rows."""
     return np.asarray(cdist(one, other))

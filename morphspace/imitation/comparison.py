@@ -1,9 +1,9 @@
-"""How close an imitation comes to what was imitated: two sequences of loadings compared (Nagle section 5.1).
+"""The similarity of an imitation and its stimulus: two sequences of loadings compared (Nagle section 5.1).
 
-Both are rows of loadings in one expression space, one row a frame. Each measure is given for every component and once
-for all together, (k + 1,), the last entry. What the two do (shape), how far they go (distance, gain) and when (lag,
-alignment) are kept apart. Chance is what copies of the same imitation give that are as smooth as it, since smoothness
-makes two unrelated motions correlate, and are not tied to the stimulus (see `chance`).
+Both are loadings in one expression space, one row per frame. Each measure has k + 1 values: one per component, and
+last one of all components together. Shape (correlation), extent (distance, gain) and time (lag, alignment) are
+measured separately. Chance is estimated from surrogates as smooth as the imitation but unrelated to the stimulus
+(`chance`), because smoothness alone correlates unrelated motions.
 """
 
 from __future__ import annotations
@@ -47,9 +47,17 @@ SMALLER_IS_CLOSER = ("distance_sd", "alignment_cost")
 
 @dataclass(frozen=True, eq=False)
 class Comparison:
-    """What `compare` found: `measures`, name to (k + 1,) with all components together last, NaN where undefined.
+    """The result of `compare`.
 
-    `curve` is the correlation of all together at each of `lags` (frames).
+    Attributes
+    ----------
+    measures : mapping of name to array (k + 1,)
+        All components together last; NaN where undefined.
+    lags : array (L,) int, frames
+    curve : array (L,)
+        The correlation of all components together at each lag.
+    alignment : Alignment
+    baseline : Baseline
     """
 
     measures: Mapping[str, AnyArray]
@@ -62,12 +70,32 @@ class Comparison:
 def compare(
     stimulus_sd: LoadingTable, imitation_sd: LoadingTable, sd: AnyArray, *, permutations: int, seed: int
 ) -> Steps[Comparison]:
-    """Compare two sequences of loadings in SD, (n, k) and (m, k); `sd` (k,) makes them plain loadings.
+    """Compare two sequences of loadings, and estimate p from surrogates of the imitation.
 
-    What needs frames in pairs is taken over the frames both have; lag and alignment see both whole. All together are
-    weighed as they show in the face: in plain loadings. p is one-sided: how often chance is as close or closer. Chance
-    is the imitation turned in time for what is taken in pairs; for lag and alignment, which search, it is copies of
-    random phases and copies in pieces, each searched in the same way. Raises `BadInput`.
+    Measures of paired frames use the frames that both sequences have; lag and alignment use both sequences
+    completely. The measures of all components together are weighted by their effect on the face, in plain loadings. p
+    is one-sided: the rate of surrogates at least as close. Measures of paired frames use circular shifts; lag and
+    alignment use random phases and reordered pieces, searched in the same way.
+
+    Parameters
+    ----------
+    stimulus_sd : array (n, k), SD
+    imitation_sd : array (m, k), SD
+    sd : array (k,)
+        The model's SD, which converts SD to plain loadings.
+    permutations : int
+        The number of surrogates of each kind.
+    seed : int
+
+    Yields
+    ------
+    Step
+        The generator returns a `Comparison`.
+
+    Raises
+    ------
+    BadInput
+        As `check_sequences` raises it.
     """
     check_sequences(stimulus_sd, imitation_sd)
     baseline = baseline_of(len(imitation_sd), permutations, seed)
@@ -117,15 +145,15 @@ def compare(
     turned_correlation = np.array(by_shifts["correlation"]).reshape(-1, len(sd) + 1)
     tests["correlation_p_familywise"] = familywise(measures["correlation"], turned_correlation)
     n = min(len(stimulus_sd), len(imitation_sd))
-    told = {"lag_frames": lag_frames}
+    also = {"lag_frames": lag_frames}
     for name, sequence in (("stimulus", stimulus_sd[:n]), ("imitation", imitation_sd[:n])):
         each = np.array([entropy(column) for column in sequence.T])
-        told[f"entropy_{name}_nats"] = np.append(each, _sum_of_defined(each))
-    return Comparison({**measures, **tests, **told}, lags, curves[0, :, -1], best, baseline)
+        also[f"entropy_{name}_nats"] = np.append(each, _sum_of_defined(each))
+    return Comparison({**measures, **tests, **also}, lags, curves[0, :, -1], best, baseline)
 
 
 def check_sequences(stimulus: LoadingTable, imitation: LoadingTable) -> None:
-    """Raise `BadInput` where two sequences (n, k), (m, k) cannot be compared: shapes, too few frames, not finite."""
+    """Raise `BadInput` if sequences (n, k), (m, k) differ in k, have too few frames or values that are not finite."""
     for name, sequence in (("stimulus", stimulus), ("imitation", imitation)):
         if sequence.ndim != 2 or sequence.shape[1] < 1:
             raise BadInput(
@@ -148,7 +176,7 @@ def check_sequences(stimulus: LoadingTable, imitation: LoadingTable) -> None:
 
 
 def _in_pairs(stimulus_sd: LoadingTable, imitations_sd: AnyArray, sd: AnyArray) -> dict[str, AnyArray]:
-    """Give the measures of frames in pairs for imitations (copies, m, k), name to (copies, k + 1)."""
+    """Return the measures of paired frames of imitations (copies, m, k), name to (copies, k + 1)."""
     n = min(len(stimulus_sd), imitations_sd.shape[1])
     a_sd, b_sd = stimulus_sd[:n], imitations_sd[:, :n]
     a, b = a_sd * sd, b_sd * sd
@@ -173,7 +201,7 @@ def _rms(difference: AnyArray) -> AnyArray:
 
 
 def _shared(stimulus_sd: LoadingTable, imitation_sd: LoadingTable) -> AnyArray:
-    """Give the mutual information (k + 1,) of frames in pairs."""
+    """Return the mutual information (k + 1,) of paired frames."""
     n = min(len(stimulus_sd), len(imitation_sd))
     each = np.array(
         [mutual_information(x, y) for x, y in zip(stimulus_sd[:n].T, imitation_sd[:n].T, strict=True)]
@@ -182,7 +210,7 @@ def _shared(stimulus_sd: LoadingTable, imitation_sd: LoadingTable) -> AnyArray:
 
 
 def _aligned(stimulus: LoadingTable, imitation: LoadingTable, best: Alignment) -> dict[str, AnyArray]:
-    """Give what alignment leaves of plain loadings, name to (k + 1,)."""
+    """Return the measures (k + 1,) of plain loadings after alignment."""
     moving = varies(stimulus).any() and varies(imitation).any()
     cost = best.cost / len(best.path) if moving else np.nan
     return {

@@ -1,9 +1,10 @@
-"""The imitator's own model, where another person imitates: what is read in it is carried over by mimicry.
+"""The imitator's own model, if another person imitates: the loadings in it are transferred to the stimulus' model.
 
-A stranger's picture, projected straight onto the stimulus' components, tells whose face it is more than what it does.
-Read in a model of the stranger it is a difference from the stranger's own mean, and mimicry lays that on the stimulus'
-face (Nagle section 3); only then are the two compared (section 5.1). Tried where the right answer is known, a drawn
-actor who does the same and a real one driven by the stimulus: correlations rose from .86, .32 and .28 to .93, .95, .95.
+The image of another person, projected directly onto the components of the stimulus, reflects identity more than
+expression. In the imitator's own model it is a difference from the imitator's mean. Mimicry transfers this difference
+to the stimulus' face (Nagle section 3) before the two are compared (section 5.1). With known truth (a drawn actor
+with the same motion, and a real actor driven by the stimulus) correlations rose from .86, .32 and .28 to .93, .95 and
+.95.
 """
 
 from __future__ import annotations
@@ -29,7 +30,17 @@ METHOD: Method = (
 
 @dataclass(frozen=True, eq=False)
 class Imitator:
-    """The model of who imitates, its file and SHA-256, and `carry`: its loadings (k',) to the stimulus' own (k,)."""
+    """The imitator's model.
+
+    Attributes
+    ----------
+    model : MorphModel
+    path : Path
+    digest : str
+        The SHA-256 of the file.
+    carry : function
+        Transfers loadings (k',) of this model to loadings (k,) of the stimulus' model.
+    """
 
     model: MorphModel
     path: Path
@@ -38,10 +49,21 @@ class Imitator:
 
 
 def imitator_of(path: Path, stimulus: MorphModel, share: Mask | None) -> Imitator:
-    """Open the imitator's model and prepare the way to the stimulus' space, seen through `share` (h, w) or whole.
+    """Load the imitator's model and prepare the transfer to the stimulus' space.
 
-    Nothing is bounded: a bound would make extreme frames look more alike than they are. Raises `BadInput` where a model
-    lacks keypoints, or the imitator's is the stimulus' own.
+    Loadings are not limited: a limit would make extreme frames more similar.
+
+    Parameters
+    ----------
+    path : Path
+    stimulus : MorphModel
+    share : array (h, w) in [0, 1], or None
+        The part of the face that is measured; None for the whole.
+
+    Raises
+    ------
+    BadInput
+        If a model has no keypoints or no components, or both models are the same.
     """
     model = load_model(path)
     if model.model_id == stimulus.model_id:
@@ -63,6 +85,8 @@ def imitator_of(path: Path, stimulus: MorphModel, share: Mask | None) -> Imitato
 def _carry(
     imitator: MorphModel, stimulus: MorphModel, share: Mask | None
 ) -> Callable[[AnyArray], LoadingVector]:
+    """Return the function that transfers loadings, through the part of the face or the whole."""
+
     if share is None:
         whole = mimic(imitator, stimulus, METHOD, max_sd=np.inf)
         return lambda loadings: whole(imitator.offset(loadings)).loadings

@@ -1,4 +1,4 @@
-"""What two motions tell of each other, and how rich each is: mutual information and entropy (Nagle section 5.1)."""
+"""Mutual information of two motions, and the entropy of each (Nagle section 5.1)."""
 
 from __future__ import annotations
 
@@ -10,16 +10,27 @@ from morphspace.arrays import AnyArray
 from morphspace.imitation.shape import varies
 
 NEIGHBOURS = 3  # of the estimate of mutual information; Kraskov et al. advise 2 to 4
-STRICTLY = 1e-10  # relative; the last neighbour lies at the very distance and is not to be counted
-LEAST_FRAMES_INFORMATION = 8  # below it the estimates are of little but their own bias
+STRICTLY = 1e-10  # relative; excludes the last neighbour, which lies exactly at the distance
+LEAST_FRAMES_INFORMATION = 8  # frames; with fewer, bias dominates the estimates
 
 
 def mutual_information(x: AnyArray, y: AnyArray, neighbours: int = NEIGHBOURS) -> float:
-    """Give the mutual information (nats, >= 0) of paired values x, y (n,); NaN where one is constant or n too small.
+    """Estimate the mutual information (nats, >= 0) of paired values x, y (n,); NaN if it is undefined.
 
-    The first estimator of Kraskov, Stögbauer and Grassberger (Estimating mutual information, Physical Review E 69,
-    2004, equation 8): psi(neighbours) + psi(n) - mean(psi(n_x + 1) + psi(n_y + 1)), each variable scaled to SD 1.
-    Frames of a motion follow one another and are not independent draws, which biases it upwards: compare with chance.
+    It is undefined if a variable is constant or n is too small. Each variable is scaled to SD 1. The estimate is
+    psi(neighbours) + psi(n) - mean(psi(n_x + 1) + psi(n_y + 1)). Successive frames of a motion are not independent
+    samples, which biases it upwards: compare it with chance.
+
+    References
+    ----------
+    Kraskov, Stögbauer and Grassberger, Estimating mutual information, Physical Review E 69, 2004, equation 8.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> x = np.linspace(0, 1, 50)
+    >>> mutual_information(x, x) > 1
+    True
     """
     n = len(x)
     if n < max(LEAST_FRAMES_INFORMATION, neighbours + 2) or not varies(np.column_stack([x, y])).all():
@@ -38,10 +49,14 @@ def mutual_information(x: AnyArray, y: AnyArray, neighbours: int = NEIGHBOURS) -
 
 
 def entropy(x: AnyArray) -> float:
-    """Give the differential Shannon entropy (nats) of values x (n,) by Ebrahimi's estimator, as SciPy computes it.
+    """Estimate the differential Shannon entropy (nats) of values x (n,) with SciPy's Ebrahimi estimator.
 
-    Ebrahimi, Pflughoeft and Soofi (Statistics and Probability Letters 20, 1994), from the gaps between sorted values;
-    unlike a histogram's it needs no bins. NaN where x is constant, has long runs of equal values, or is too short.
+    It uses the gaps between sorted values and needs no bins. NaN if x is constant, has many equal values or is too
+    short.
+
+    References
+    ----------
+    Ebrahimi, Pflughoeft and Soofi, Two measures of sample entropy, Statistics and Probability Letters 20, 1994.
     """
     from scipy.stats import differential_entropy  # here, because it is slow to import
 

@@ -1,4 +1,4 @@
-"""Loadings from a part of the face: the posterior mean under the model's probabilistic PCA within a mask (ours)."""
+"""Loadings from a part of the face: the posterior mean of the model's probabilistic PCA within a mask (ours)."""
 
 from __future__ import annotations
 
@@ -9,16 +9,16 @@ from morphspace.errors import BadInput
 from morphspace.linear.pca import Basis
 from morphspace.linear.posterior import Posterior
 
-# Neighbouring pixels and the colours of one err together: one number in so many is independent, and the rest must not
-# make a faint component look certain. Of 1, 10, 100 and 1000, tried on held-out frames and on another person's, 1 let
-# the eyes of the other go to 39 SD and 1000 halved the motion; 100 agreed with the whole face as well as 1 did.
+# Numbers per independent number: errors of neighbouring pixels and of the colours of one pixel are correlated. On
+# held-out frames and those of another person, 1 gave loadings of 39 SD for the eyes, and 1000 halved the motion; 100
+# agreed with the whole face as well as 1 did (1, 10, 100 and 1000 compared).
 ONE_IN = 100.0
 
 
 def masked_basis(basis: Basis, share: AnyArray) -> Posterior:
-    """See a basis through a part of the face; `share` (d,) in [0, 1] says how much of each number counts.
+    """Restrict a basis to a part of the face; `share` (d,) in [0, 1] is the weight of each number of the morph.
 
-    Raises `BadInput` where nothing of the face is left, or the model has no component.
+    Raises `BadInput` if no part of the face is left, or the model has no component.
     """
     weight = np.asarray(basis.weight * share, np.float32)
     if not weight.any():

@@ -1,6 +1,6 @@
-"""The two motions of a measured imitation: from clips or tables, in one space, of one part of the face, at one rate.
+"""The two motions of an imitation, from clips or tables, in one space, at one frame rate.
 
-What was done to make them comparable is said in notes, which the page and the command line show.
+Notes record the changes that made the motions comparable; the page and the command line show them.
 """
 
 from __future__ import annotations
@@ -39,11 +39,26 @@ NAMED_BY_VERBS = (
 
 @dataclass(frozen=True, eq=False)
 class Motion:
-    """A motion in the space of a model: `loadings_sd` (n, k), `rate_hz` or None, and the clip it came from, if any.
+    """A motion in the space of a model.
 
-    `components` says how many columns are known (the rest are 0); `places` (n,) which frame of the clip each row shows;
-    `imitator` whose model the clip is read in or the table belongs to, where it is not the stimulus'; `outside` how
-    much of the frames the model cannot show (see `encoding.STRANGE`), where that was measured.
+    Attributes
+    ----------
+    name : str
+    frame_names : tuple of n str
+    loadings_sd : array (n, k), SD
+    rate_hz : float or None
+    clip : FramedClip or None
+        The clip from which the loadings are encoded.
+    components : int
+        The number of known columns; the others are 0.
+    places : array (n,) int
+        The frame of the clip in each row.
+    inputs : dict
+        The digests of the files.
+    imitator : Imitator or None
+        The model of the clip or table, if it is not that of the stimulus.
+    outside : float or None
+        The energy of the frames outside the model's space (see `encode.STRANGE`), if measured.
     """
 
     name: str
@@ -59,14 +74,14 @@ class Motion:
 
     @property
     def is_strange(self) -> bool:
-        """Whether the frames are evidently not of the model's person, camera and light."""
+        """Whether the frames clearly differ from the model's person, camera or light."""
         return self.outside is not None and self.outside > STRANGE
 
 
 def share_of(model: MorphModel, mask: Path | None, region: str) -> Mask | None:
-    """Give how much each point of the mean face counts, (h, w) in [0, 1], by the mask's file or the region.
+    """Return the weight (h, w) in [0, 1] of each point of the mean face, from the mask's file or the region.
 
-    None where all of the face is measured. Raises `BadInput` for a mask of another size.
+    None for the whole face. Raises `BadInput` if the mask does not have the size of the model's frames.
     """
     if mask is None:
         return None if region == WHOLE else region_of(model, region)
@@ -80,16 +95,33 @@ def share_of(model: MorphModel, mask: Path | None, region: str) -> Mask | None:
 
 
 def part_of(model: MorphModel, share: Mask | None) -> Posterior | None:
-    """Give the basis seen through a part of the face; None where all of it is measured."""
+    """Restrict the model's basis to a part of the face; None for the whole."""
     return None if share is None else masked_basis(model.basis, inner_product(share, 1.0))
 
 
 def opened(
     role: str, given: str, model: MorphModel, notes: list[str], imitator: Imitator | None = None
 ) -> Motion:
-    """Open a clip or read a table (.csv); a clip's loadings are still to be found by `measured`.
+    """Open a clip or read a table (.csv). The loadings of a clip are 0 until `measured` encodes them.
 
-    Where there is an `imitator`, both are of its model. Raises `BadInput`.
+    Parameters
+    ----------
+    role : "stimulus" or "imitation"
+    given : str
+        The clip or table.
+    model : MorphModel
+        The stimulus' model.
+    notes : list of str
+        Notes are appended.
+    imitator : Imitator or None
+        If set, its model encodes the clip or encoded the table.
+
+    Raises
+    ------
+    BadInput
+        If there are too few frames, or the table does not fit the model.
+    ReferenceMismatch
+        If the table belongs to another model.
     """
     read_in = imitator.model if imitator else model
     if Path(given).suffix.lower() == ".csv":
@@ -112,7 +144,7 @@ def opened(
 
 
 def _table(path: Path, model: MorphModel, stimulus: MorphModel, notes: list[str]) -> Motion:
-    """Read a table of `model`, which is the stimulus' or the imitator's."""
+    """Read a table of `model`, which is that of the stimulus or of the imitator."""
     table = read_loadings_table(path)
     columns = table.loadings_sd.shape[1]
     document = table.document or {}
@@ -141,9 +173,9 @@ def _table(path: Path, model: MorphModel, stimulus: MorphModel, notes: list[str]
 
 
 def name_of_table(path: Path, document: Mapping[str, Any]) -> str:
-    """Give what people call the motion in a table: the file's name, or its folder's where verbs gave the file its name.
+    """Return the name of the motion in a table: the file's name, or the folder's if a verb named the file.
 
-    Where there is no folder to name it after, whose motion it is, as the sidecar `document` tells.
+    Without a folder name it is the identity in the sidecar `document`.
     """
     if path.stem not in NAMED_BY_VERBS:
         return path.stem
@@ -165,10 +197,10 @@ def _other_table(path: Path, named: object, model: MorphModel, stimulus: MorphMo
 
 
 def measured(source: Motion, model: MorphModel, part: Posterior | None) -> Steps[Motion]:
-    """Give the sequence with its loadings, of the whole face or of the part.
+    """Encode the motion's clip, or restrict its table to the part of the face. The generator returns the motion.
 
-    A part is projected and not fitted to the picture besides: on few pixels of another face, a fit follows the skin.
-    What an imitator's model has read is carried over from its loadings there.
+    A part is projected without fitting the image: on few pixels of another face, a fit follows the skin. Loadings in
+    an imitator's model are transferred to the stimulus' space.
     """
     if source.imitator is not None:
         return (yield from _carried(source, source.imitator, model))
@@ -188,7 +220,7 @@ def measured(source: Motion, model: MorphModel, part: Posterior | None) -> Steps
 def _read(
     clip: FramedClip, model: MorphModel, part: Posterior | None
 ) -> Iterator[tuple[LoadingVector, float]]:
-    """Give for each frame its loadings (k,), and the energy of what the model cannot show of it, in its variances."""
+    """Yield the loadings (k,) of each frame, and the energy of its residual in variances of the model."""
     if part is None:
         for encoded in encoded_frames(model, clip):
             yield encoded.loadings.values[0], energy_outside(encoded.morph - model.mean, model)
@@ -205,7 +237,7 @@ def _read(
 
 
 def _carried(source: Motion, imitator: Imitator, model: MorphModel) -> Steps[Motion]:
-    """Read the frames in the imitator's model where they are pictures, and carry each row to the stimulus' space."""
+    """Encode the frames in the imitator's model, or take its table, and transfer each row to the stimulus' space."""
     own = imitator.model
     known: Iterable[AnyArray] = source.loadings_sd * own.sd
     if source.clip is not None:
@@ -218,7 +250,7 @@ def _carried(source: Motion, imitator: Imitator, model: MorphModel) -> Steps[Mot
 
 
 def at_rate_of(stimulus: Motion, imitation: Motion, notes: list[str]) -> Motion:
-    """Bring the imitation to the stimulus' frame rate where both are known, and say what was done about time."""
+    """Resample the imitation to the stimulus' frame rate if both are known, and append notes on timing."""
     if stimulus.rate_hz and imitation.rate_hz and stimulus.rate_hz != imitation.rate_hz:
         rate_hz = stimulus.rate_hz
         loadings = resampled(imitation.loadings_sd, imitation.rate_hz, rate_hz)
@@ -254,9 +286,15 @@ def at_rate_of(stimulus: Motion, imitation: Motion, notes: list[str]) -> Motion:
 
 @dataclass(frozen=True, eq=False)
 class FacesSeen:
-    """The frames of a motion in which no face was found, by name; None where they were not looked at, or are a table's.
+    """The result of the face detector on the frames of a motion.
 
-    `is_all` says that it is all of them; `notes` what to know of it.
+    Attributes
+    ----------
+    without : tuple of str, or None
+        The frames without a face; None if the frames were not inspected.
+    notes : tuple of str
+    is_all : bool
+        Whether no frame has a face.
     """
 
     without: tuple[str, ...] | None
@@ -265,17 +303,17 @@ class FacesSeen:
 
     @property
     def count(self) -> int:
-        """How many there are."""
+        """The number of frames without a face."""
         return len(self.without or ())
 
 
 def look_for_faces(
     role: str, source: Motion, mean: Image, identity: str, detector: Detector | None
 ) -> Steps[FacesSeen]:
-    """Look at each frame of a clip; a table has none.
+    """Detect faces in the frames of a clip; a table has none. The generator returns a `FacesSeen`.
 
-    A detector that does not know the face on the `mean` (h, w, 3) of the model that reads the clip, that of `identity`,
-    such as a drawn one, will not know it in the frames: they are not looked at then.
+    A detector that finds no face in the `mean` (h, w, 3) of the model that encodes the clip, for example of a drawn
+    face, will find none in its frames. They are then not inspected.
     """
     if source.clip is None:
         return FacesSeen(None)

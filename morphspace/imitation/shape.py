@@ -1,4 +1,4 @@
-"""The shape of a motion, apart from its place and its size: centred sequences, their correlation, and their lag."""
+"""The shape of a motion, independent of its position and size: centred sequences, their correlation and their lag."""
 
 from __future__ import annotations
 
@@ -6,48 +6,62 @@ import numpy as np
 
 from morphspace.arrays import AnyArray, LoadingTable
 
-LEAST_FRAMES = 3  # with two, every correlation is 1 or -1
+LEAST_FRAMES = 3  # frames; with two, every correlation is 1 or -1
 LEAST_OVERLAP = 0.5  # of the shorter sequence; fewer frames in common correlate by chance
-CONSTANT_TOL = 1e-12  # of the largest value: what is left of a constant after rounding
-WINDOW_TOL = 1e-10  # of a column's sum of squares: what running sums lose to rounding
+CONSTANT_TOL = 1e-12  # relative to the largest value; rounding of a constant
+WINDOW_TOL = 1e-10  # relative to a column's sum of squares; rounding of running sums
 
 
 def varies(sequence: AnyArray) -> AnyArray:
-    """Give which columns of (..., n, k) move at all, (..., k) bool."""
+    """Return which columns of (..., n, k) are not constant, (..., k) bool."""
     reach = np.abs(sequence).max(axis=-2)
     return np.asarray(np.ptp(sequence, axis=-2) > CONSTANT_TOL * reach)
 
 
 def centred(sequence: AnyArray) -> AnyArray:
-    """Take the mean over frames from each column of (..., n, k); a column that does not move becomes exactly 0."""
+    """Subtract the mean over frames from each column of (..., n, k); a constant column becomes exactly 0."""
     moving = varies(sequence)[..., None, :]
     return np.asarray(np.where(moving, sequence - sequence.mean(axis=-2, keepdims=True), 0.0))
 
 
 def standardised(sequence: LoadingTable) -> LoadingTable:
-    """Take from a sequence (n, k) its place and its size: centred, and of mean square length 1 a frame."""
+    """Centre a sequence (n, k), and scale it to a mean squared length of 1 per frame.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> standardised(np.array([[1.0], [5.0]])).tolist()
+    [[-1.0], [1.0]]
+    """
     shape = centred(sequence)
     size = np.sqrt((shape * shape).sum() / len(shape))
     return np.asarray(shape / size) if size > 0 else shape
 
 
 def ratio(above: AnyArray, below: AnyArray) -> AnyArray:
-    """Divide where what is below is above 0; NaN elsewhere, without a warning."""
+    """Divide where the denominator is above 0; NaN elsewhere."""
     out: AnyArray = np.full(np.shape(above), np.nan)
     np.divide(above, below, out=out, where=below > 0)
     return out
 
 
 def with_total(products: AnyArray) -> AnyArray:
-    """Append to sums of each component (..., k) that of all, (..., k + 1)."""
+    """Append to the sums of each component (..., k) that of all, (..., k + 1)."""
     return np.concatenate([products, products.sum(axis=-1, keepdims=True)], axis=-1)
 
 
 def similarity(one: AnyArray, other: AnyArray) -> AnyArray:
-    """Give the correlation (..., k + 1) of two sequences (..., n, k), each component's and that of all together.
+    """Return the correlation (..., k + 1) of two sequences (..., n, k), per component and last of all together.
 
-    All together: sum of covariances over the root of the product of summed variances, the cosine of the two centred
-    motions in the space of faces. NaN where one does not move.
+    That of all together is the sum of covariances over the root of the product of summed variances: the cosine of the
+    two centred motions in the space of faces. NaN if one is constant.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> motion = np.array([[0.0], [1], [3]])
+    >>> similarity(motion, 5 - 2 * motion).round(6).tolist()
+    [-1.0, -1.0]
     """
     a, b = centred(one), centred(other)
     along = with_total((a * b).sum(axis=-2))
@@ -58,9 +72,9 @@ def similarity(one: AnyArray, other: AnyArray) -> AnyArray:
 def lag_curves(stimulus: LoadingTable, imitations: AnyArray) -> tuple[AnyArray, AnyArray]:
     """Correlate a stimulus (n, k) with imitations (s, m, k) at each lag: lags (L,) frames, curves (s, L, k + 1).
 
-    At lag L frame t of the stimulus meets frame t + L of the imitation: above 0 the imitation comes later. Each lag is
-    a correlation over its own overlap of at least `LEAST_OVERLAP` of the shorter one. The last column is that of all
-    together; NaN where one does not move.
+    At lag L, frame t of the stimulus is paired with frame t + L of the imitation; above 0 the imitation is later.
+    Each correlation uses the overlap at its lag, at least `LEAST_OVERLAP` of the shorter sequence. The last column is
+    that of all components together; NaN if one is constant.
     """
     n, m = len(stimulus), imitations.shape[1]
     overlap = max(LEAST_FRAMES, int(np.ceil(LEAST_OVERLAP * min(n, m))))
@@ -84,7 +98,7 @@ def lag_curves(stimulus: LoadingTable, imitations: AnyArray) -> tuple[AnyArray, 
 
 
 def _window_sums(values: AnyArray, first: AnyArray, last: AnyArray) -> tuple[AnyArray, AnyArray]:
-    """Give the sums of values (..., n, k) and of their squares from `first` to before `last`, (..., L, k)."""
+    """Return the sums of values (..., n, k) and of their squares over frames `first` to `last` - 1, (..., L, k)."""
     zero = np.zeros((*values.shape[:-2], 1, values.shape[-1]))
     sums = []
     for each in (values, values * values):
@@ -94,9 +108,9 @@ def _window_sums(values: AnyArray, first: AnyArray, last: AnyArray) -> tuple[Any
 
 
 def peak(curve: AnyArray, lags: AnyArray) -> tuple[AnyArray, AnyArray]:
-    """Give where each column of a curve (L, k + 1) is highest, as a lag (frames), and how high; of equals the least.
+    """Return the lag (frames) and the height of the maximum of each column of a curve (L, k + 1).
 
-    NaN where a column is undefined at every lag.
+    Equal maxima give the smallest lag; NaN if a column is undefined at all lags.
     """
     order = np.argsort(np.abs(lags), kind="stable")
     known = np.isfinite(curve)
@@ -106,7 +120,14 @@ def peak(curve: AnyArray, lags: AnyArray) -> tuple[AnyArray, AnyArray]:
 
 
 def resampled(sequence: LoadingTable, rate_hz: float, to_rate_hz: float) -> LoadingTable:
-    """Bring a sequence (n, k) from one frame rate to another, (m, k): linear between frames, none beyond the last."""
+    """Resample a sequence (n, k) to another frame rate, (m, k), by linear interpolation without extrapolation.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> resampled(np.array([[0.0], [2], [4]]), 25, 50).ravel().tolist()
+    [0.0, 1.0, 2.0, 3.0, 4.0]
+    """
     seconds = np.arange(len(sequence)) / rate_hz
     count = int(np.floor(seconds[-1] * to_rate_hz + 1e-9)) + 1
     wanted = np.arange(count) / to_rate_hz

@@ -1,4 +1,4 @@
-"""The table of an imitation's measures, and beside it what each column means (data_spec/imitation-table.md)."""
+"""Write the table of an imitation's measures, and the description of its columns (data_spec/imitation-table.md)."""
 
 from __future__ import annotations
 
@@ -87,12 +87,12 @@ TEXTS = "name", "undefined"
 
 
 def component_names(count: int) -> list[str]:
-    """Give the names of the rows: the components, then all together."""
+    """Return the names of the rows: the components, then all together."""
     return [*(f"pc{number:03d}" for number in range(1, count + 1)), ALL]
 
 
 def reasons_of(comparison: Comparison, stimulus_sd: LoadingTable, imitation_sd: LoadingTable) -> list[str]:
-    """Say for each row why measures of it are undefined; empty where none is."""
+    """Return for each row why measures are undefined; "" if all are defined."""
     n = min(len(stimulus_sd), len(imitation_sd))
     motions = {"stimulus": stimulus_sd, "imitation": imitation_sd}
     reasons = []
@@ -108,7 +108,7 @@ def reasons_of(comparison: Comparison, stimulus_sd: LoadingTable, imitation_sd: 
 
 
 def still_names(stimulus_sd: LoadingTable, imitation_sd: LoadingTable) -> dict[str, list[str]]:
-    """Give for each of the two the components that do not move at all."""
+    """Return for stimulus and imitation the names of the components that are constant."""
     names = component_names(stimulus_sd.shape[1])
     return {
         role: [name for name, moves in zip(names, varies(values), strict=False) if not moves]
@@ -117,7 +117,7 @@ def still_names(stimulus_sd: LoadingTable, imitation_sd: LoadingTable) -> dict[s
 
 
 def still_words(stimulus_sd: LoadingTable, imitation_sd: LoadingTable) -> tuple[str, ...]:
-    """Say in one line that the stimulus, the imitation or both do not move at all; nothing where both do."""
+    """Return one line if the stimulus, the imitation or both are constant, else nothing."""
     count = stimulus_sd.shape[1]
     names = [role for role, found in still_names(stimulus_sd, imitation_sd).items() if len(found) == count]
     if not names:
@@ -133,7 +133,7 @@ def still_words(stimulus_sd: LoadingTable, imitation_sd: LoadingTable) -> tuple[
 
 
 def still_components_words(stimulus_sd: LoadingTable, imitation_sd: LoadingTable) -> list[str]:
-    """Say which components do not move in a motion that does."""
+    """Return a line for each motion in which some, but not all, components are constant."""
     words = []
     for role, names in still_names(stimulus_sd, imitation_sd).items():
         if 0 < len(names) < stimulus_sd.shape[1]:
@@ -159,9 +159,26 @@ def write_measures(
     visible_share: AnyArray,
     rate_hz: float | None,
     reasons: Sequence[str],
-    told: Mapping[str, Any],
+    described: Mapping[str, Any],
 ) -> tuple[Path, Path]:
-    """Write measures.csv, and measures.json that describes its columns and holds what was `told`."""
+    """Write measures.csv, and measures.json with the meaning of its columns and the entries of `described`.
+
+    Parameters
+    ----------
+    folder : Path
+    comparison : Comparison
+    variance_percent, visible_share : array (k,)
+    rate_hz : float or None
+    reasons : sequence of k + 1 str
+        As `reasons_of` returns them.
+    described : mapping
+        Further entries of measures.json.
+
+    Returns
+    -------
+    tuple of Path
+        The table and its description.
+    """
     k = len(variance_percent)
     nothing = np.full(k, np.nan)
     measures = comparison.measures
@@ -187,7 +204,7 @@ def write_measures(
         "format": FORMAT,
         "version": VERSION,
         "columns": {name: {"unit": unit, "meaning": meaning} for name, (unit, meaning) in COLUMNS.items()},
-        **told,
+        **described,
         "versions": versions(),
     }
     write_text(beside, json_text(document))
@@ -195,7 +212,7 @@ def write_measures(
 
 
 def _rounded(name: str, values: Sequence[Any]) -> list[Any]:
-    """Give the numbers of a column to as many decimals as they are good for; texts as they are."""
+    """Round the numbers of a column to its number of decimals; texts are unchanged."""
     if name in TEXTS:
         return list(values)
     others = P_DECIMALS if name.endswith(("_p", "_p_familywise")) else OTHERS

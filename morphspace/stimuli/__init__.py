@@ -1,4 +1,4 @@
-"""Stimuli as numbers: what to draw with one model, and the pure functions that make such numbers from others.
+"""Stimuli as numbers: the drawing of one model, and pure functions that make loadings from loadings.
 
-Arrays and models in, arrays out; files and folders are the verbs' business.
+Input and output are arrays and models; the verbs read and write files.
 """

@@ -1,6 +1,6 @@
-"""Caricature: loadings times a gain (Nagle section 5; Benson and Perrett 1991 for the idea).
+"""Caricature: multiply loadings by a gain (Nagle section 5; the idea is that of Benson and Perrett 1991).
 
-1 is veridical, above 1 a caricature, between 0 and 1 an anti-caricature, 0 the mean face, below 0 an anti-face.
+Gain 1 is veridical, above 1 a caricature, between 0 and 1 an anti-caricature, 0 the mean face, below 0 an anti-face.
 """
 
 from __future__ import annotations
@@ -21,12 +21,18 @@ from morphspace.model.model import MorphModel
 from morphspace.stimuli.drawing import Drawing
 from morphspace.storage import digest_of_file
 
-PICTURE_SUFFIXES = (".png", ".tif", ".tiff", ".jpg", ".jpeg", ".exr", ".bmp")  # of a region that was painted
+PICTURE_SUFFIXES = (".png", ".tif", ".tiff", ".jpg", ".jpeg", ".exr", ".bmp")  # of a region's mask
 SPAN = re.compile(r"([0-9]{1,5})(?:-([0-9]{1,5}))?")
 
 
 def components_named(words: str, rank: int) -> tuple[int, ...]:
-    """Give the places (from 0) of components written as `1-5,8`. Raises `BadInput` where one is not in the model."""
+    """Convert components such as `1-5,8` to indices from 0. Raises `BadInput` if one is not in the model.
+
+    Examples
+    --------
+    >>> components_named("1-3,8", rank=10)
+    (0, 1, 2, 7)
+    """
     places: set[int] = set()
     for part in words.split(","):
         found = SPAN.fullmatch(part.strip())
@@ -43,7 +49,14 @@ def components_named(words: str, rank: int) -> tuple[int, ...]:
 def caricatured(
     loadings_sd: LoadingTable, gain: float, components: tuple[int, ...] | None = None
 ) -> LoadingTable:
-    """Give loadings (n, k) times the gain; only in these components (from 0) where some are named."""
+    """Multiply loadings (n, k) by the gain, in all components or only in these (from 0).
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> caricatured(np.array([[1.0, -2.0]]), 1.5, components=(1,)).tolist()
+    [[1.0, -3.0]]
+    """
     if not np.isfinite(gain):
         raise BadInput(f"a gain of {gain} cannot be used: give a number, 1 for the faces as they are")
     factors: AnyArray = np.ones(loadings_sd.shape[1])
@@ -67,18 +80,25 @@ def caricature_drawing(
 
     Parameters
     ----------
-    name
-        Of the faces; the gains are added to it.
-    veridical
-        Loadings (n, k) in SD.
-    gains
+    name : str
+        The name of the faces; the gains are appended.
+    veridical : array (n, k), SD
+    gains : mapping
         "gain" alone, or "warp_gain" and "texture_gain".
-    components
-        The places (from 0) that are changed, named as the user wrote them; None for all.
-    region, mask
-        The part of the face that changes, by its name, or with its mask (h, w) where one was painted.
-    frame_rate_hz
-        Of a video; None for pictures.
+    components : tuple of int, from 0, or None for all
+        The components that change.
+    components_named_as : str or None
+        The components as the user wrote them.
+    region : str or None
+        The part of the face that changes: its name, or the file of a mask.
+    mask : array (h, w) or None
+        The mask on the mean face, if `region` is a file.
+    frame_rate_hz : float or None
+        The rate of a video; None for images.
+
+    Returns
+    -------
+    Drawing
     """
     shape = caricatured(veridical, gains.get("gain", gains.get("warp_gain", 1.0)), components)
     colour = None if "gain" in gains else caricatured(veridical, gains["texture_gain"], components)
@@ -105,7 +125,13 @@ def caricature_drawing(
 
 
 def caricature_region(region: str | None, model: MorphModel) -> tuple[Mask | None, dict[str, str]]:
-    """Give the mask that was painted, None where the region is a named one; refuse what cannot be one."""
+    """Return the mask (h, w) and digest of a region's file, or None and {} for a named region.
+
+    Raises
+    ------
+    BadInput
+        If the model does not have the region, or the mask does not have the size of its frames.
+    """
     if region is None:
         return None, {}
     path = Path(region)

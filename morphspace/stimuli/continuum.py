@@ -1,9 +1,8 @@
-"""Faces on a straight line between two: where they stand on it, and how far each is from the next.
+"""Continuum: faces on a straight line between two faces, their positions and the difference between neighbours.
 
-The line is straight in the model's space: shape and colour go over into each other at one pace, each point of the
-face along its own way (Nagle section 2). Equal steps in loadings are then equal steps of the warp too, but not for the
-eye, for which no difference of pictures grows evenly. So positions may be spaced until the pictures differ by equal
-amounts (ours).
+The line is straight in the space of the model: shape and colour change together, and each point of the face moves
+along a straight path (Nagle section 2). Equal steps of loadings are equal steps of the warp, but differences between
+the images are not equal. Positions can therefore be spaced until the images differ by equal amounts (ours).
 """
 
 from __future__ import annotations
@@ -23,19 +22,28 @@ from morphspace.model.model import MorphModel
 from morphspace.stimuli.stepping import Equalised, as_shown, difference, equalised
 
 Spacing: TypeAlias = Literal["loadings", "warp", "ciede2000", "ssim"]
-"""In what the steps are equal: loadings (the linear morph), rms displacement px, mean CIEDE2000, or 1 - SSIM."""
+"""The measure in which steps are equal: loadings (linear morph), rms displacement px, mean CIEDE2000, or 1 - SSIM."""
 SPACINGS: tuple[Spacing, ...] = get_args(Spacing)
-# How a step's size grows with its length, while both are small: 1 - SSIM is a square.
+# The power of its length with which the size of a small step grows; 1 - SSIM is quadratic.
 POWERS: Mapping[str, float] = {"ciede2000": 1.0, "ssim": 2.0}
 MOST_STEPS = 10_000
-FURTHEST = 10.0  # times the line's length beyond its ends; further out there are no faces
+FURTHEST = 10.0  # lengths of the line beyond its ends; more extreme faces are implausible
 
 
 @dataclass(frozen=True, eq=False)
 class Line:
-    """The faces between two of a model: `first` at position 0, `last` at 1, loadings (k,) each.
+    """The faces between two faces of a model.
 
-    Raises `BadInput` where the two are the same face.
+    Attributes
+    ----------
+    model : MorphModel
+    first, last : array (k,)
+        Loadings at positions 0 and 1.
+
+    Raises
+    ------
+    BadInput
+        If the two faces are equal or have different numbers of loadings.
     """
 
     model: MorphModel
@@ -53,7 +61,7 @@ class Line:
             )
 
     def loadings(self, positions: AnyArray) -> LoadingTable:
-        """Give the loadings (n, k) at positions (n,); those of the ends to the bit."""
+        """Return the loadings (n, k) at positions (n,); those of the end faces are bit-equal."""
         share = np.asarray(positions, np.float64)[:, None]
         return np.asarray((1 - share) * self.first + share * self.last)
 
@@ -63,15 +71,15 @@ class Line:
         return (first.texture, first.displacement), (last.texture, last.displacement)
 
     def texture(self, position: float) -> Image:
-        """Give the texture (h, w, 3) on the mean face at a position."""
+        """Return the texture (h, w, 3) on the mean face at a position."""
         return _mixed(self._ends[0][0], self._ends[1][0], position)
 
     def displacement(self, position: float) -> Displacement:
-        """Give the displacement (h, w, 2) px of the mean face at a position."""
+        """Return the displacement (h, w, 2) px of the mean face at a position."""
         return _mixed(self._ends[0][1], self._ends[1][1], position)
 
     def picture(self, position: float) -> Image:
-        """Give the picture (h, w, 3) at a position, in the codes a file holds."""
+        """Render the image (h, w, 3) at a position, rounded to 8-bit codes."""
         return as_shown(warp.render(self.texture(position), self.displacement(position)))
 
     @cached_property
@@ -79,7 +87,7 @@ class Line:
         return self.picture(0.0), self.picture(1.0)
 
     def crossfade(self, position: float) -> Image:
-        """Give what fading one end's picture out and the other's in shows there, (h, w, 3): two faces, no warp."""
+        """Blend the images of the two ends without a warp, (h, w, 3), rounded to 8-bit codes."""
         return as_shown(_mixed(*self._end_pictures, position))
 
 
@@ -89,17 +97,25 @@ def _mixed(first: AnyArray, last: AnyArray, share: float) -> AnyArray:
 
 
 def even_positions(steps: int) -> AnyArray:
-    """Give the positions (steps + 1,) of a linear morph: 0 to 1 in so many equal steps of loadings."""
+    """Return the positions (steps + 1,) of a linear morph: 0 to 1 in 1 to 10,000 equal steps, else `BadInput`.
+
+    Examples
+    --------
+    >>> even_positions(4).tolist()
+    [0.0, 0.25, 0.5, 0.75, 1.0]
+    """
     if not 1 <= steps <= MOST_STEPS:
         raise BadInput(f"{steps} steps were asked for: ask for 1 to {MOST_STEPS}")
     return np.arange(steps + 1) / steps
 
 
 def given_positions(positions: Sequence[float]) -> AnyArray:
-    """Give positions (n,) that were asked for: 0 is the first end, 1 the last, beyond them the difference goes on.
+    """Check positions (n,): 0 is the first end, 1 the last; beyond them the difference is extrapolated.
 
-    Raises `BadInput` for fewer than 2, and unless each is above the one before and none more than 10 times the line's
-    length beyond its ends.
+    Raises
+    ------
+    BadInput
+        If there are fewer than 2, they do not rise, or one is more than 10 lengths of the line beyond its ends.
     """
     found = np.asarray(positions, np.float64)
     if found.ndim != 1 or len(found) < 2:
@@ -118,9 +134,9 @@ def given_positions(positions: Sequence[float]) -> AnyArray:
 
 
 def spaced_positions(line: Line, steps: int, spacing: Spacing) -> Equalised:
-    """Give positions (steps + 1,) from 0 to 1 whose steps are equal in `spacing`, as the files show the faces.
+    """Return positions (steps + 1,) from 0 to 1 with equal steps in `spacing`, measured on the rendered 8-bit images.
 
-    Loadings and warp are equal when the positions are even, since both are straight along the line.
+    For "loadings" and "warp" the positions are even, because both are linear along the line.
     """
     even = even_positions(steps)
     if spacing not in POWERS:

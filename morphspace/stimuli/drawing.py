@@ -1,8 +1,8 @@
-"""A drawing: numbers enough to draw a stimulus again with one model, and to write down beside it (ours).
+"""A drawing: the numbers from which one model draws a stimulus (ours).
 
-A stimulus is loadings in SD, one row a frame; where shape and colour have gains of their own there are two tables, and
-where only a region is changed there is one more for the rest of the face. The whole of it goes through JSON and comes
-back bit-equal, so that a sidecar is enough to draw the stimulus again.
+A stimulus is a table of loadings in SD, one row per frame. A second table holds the colours if shape and colour have
+different gains; a third the rest of the face if only a region changes. A drawing is written to JSON and read back
+bit-equal: the sidecar is sufficient to draw the stimulus again.
 """
 
 from __future__ import annotations
@@ -18,20 +18,34 @@ from morphspace.arrays import AnyArray, LoadingTable, Mask
 from morphspace.errors import BadInput
 from morphspace.requests import VIDEO_SUFFIXES
 
-FURTHEST_SD = 1000.0  # beyond it a table holds a mistake, and colours leave what numbers can hold
+FURTHEST_SD = 1000.0  # SD; larger values are errors, and colours overflow
 PICTURE_SUFFIXES = (".png",)
 LONGEST_PART_BYTES = 200  # of a name's part; file systems take 255, and an unfinished file has a longer name
-UNFIT = re.compile(r'[\x00-\x1f\x7f\\:*?"<>|]')  # in a name: what one of the usual file systems refuses
-RESERVED = re.compile(r"(con|prn|aux|nul|com[0-9]|lpt[0-9])(\..*)?", re.IGNORECASE)  # names Windows keeps
+UNFIT = re.compile(r'[\x00-\x1f\x7f\\:*?"<>|]')  # characters that Linux, macOS or Windows forbid in names
+RESERVED = re.compile(
+    r"(con|prn|aux|nul|com[0-9]|lpt[0-9])(\..*)?", re.IGNORECASE
+)  # names that Windows reserves
 SCALARS = (str, int, float, bool, type(None))
 
 
 @dataclass(frozen=True, eq=False)
 class Placing:
-    """Where rendered faces go back to: one original picture and one registration a frame.
+    """The original frames into which rendered faces are placed, one per frame.
 
-    `names` of the original frames | `digests`, the SHA-256 of each | `registrations` (n, 2, 3), from a point of the
-    rendered picture to the original's, px | `sources`, the words that open the clip they are in.
+    Attributes
+    ----------
+    names : tuple of n str
+    digests : tuple of n str
+        The SHA-256 of each original.
+    registrations : array (n, 2, 3), px
+        Maps a point of the rendered image to the original.
+    sources : tuple of str
+        The sources that open the clip of the originals.
+
+    Raises
+    ------
+    BadInput
+        If the numbers disagree or a registration is not finite.
     """
 
     names: tuple[str, ...]
@@ -51,7 +65,7 @@ class Placing:
         object.__setattr__(self, "registrations", maps)
 
     def document(self) -> dict[str, Any]:
-        """Give the placing as JSON."""
+        """Return the placing as JSON data."""
         return {
             "names": list(self.names),
             "digests": list(self.digests),
@@ -62,14 +76,40 @@ class Placing:
 
 @dataclass(frozen=True, eq=False)
 class Drawing:
-    """A stimulus as numbers, called `name`: the file's name without suffix, with "/" between folders.
+    """A stimulus as numbers.
 
-    `loadings_sd` (n, k) SD, one row a frame: the warp and, unless `colour_sd` (n, k) is given, the colours | `region`,
-    where the face is that of the loadings; elsewhere it is that of `outside_sd` (n, k) | `region_mask` (h, w) on the
-    mean face, where the region is no named one | `frame_rate_hz` of a video, None for one picture | `suffix` of the
-    file | `placing`, where the face is put back into original frames | `told`, what to say of it in the manifest.
+    Attributes
+    ----------
+    name : str
+        The file's name without suffix, with "/" between folders.
+    loadings_sd : array (n, k), SD, one row per frame
+        The shape, and the colours unless `colour_sd` is set.
+    colour_sd : array (n, k), SD, or None
+    region : str or None
+        The part of the face drawn with these loadings.
+    outside_sd : array (n, k), SD, or None
+        The face outside the region.
+    frame_rate_hz : float or None
+        The rate of a video; None for one image.
+    suffix : str
+    placing : Placing or None
+        The originals, if the face is placed into images.
+    told : mapping of str to text or number
+        The description for the manifest.
+    region_mask : array (h, w) or None
+        The region on the mean face, if it is not a named one.
 
-    Raises `BadInput` where these disagree, or a loading is not finite or beyond `FURTHEST_SD`.
+    Raises
+    ------
+    BadInput
+        If these disagree, or a loading is not finite or beyond `FURTHEST_SD`.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> drawing = Drawing("mean", np.zeros((1, 3)))
+    >>> drawing.file_name, drawing_of(drawing.document()).loadings_sd.tolist()
+    ('mean.png', [[0.0, 0.0, 0.0]])
     """
 
     name: str
@@ -104,10 +144,12 @@ class Drawing:
 
     @property
     def file_name(self) -> str:
-        """The stimulus' file, from the folder of its set."""
+        """The stimulus' file, relative to the folder of its set."""
         return self.name + self.suffix
 
     def _check_kind(self) -> None:
+        """Check that suffix, number of frames and frame rate agree."""
+
         kinds = PICTURE_SUFFIXES if self.frame_rate_hz is None else VIDEO_SUFFIXES
         if self.suffix not in kinds:
             raise BadInput(f"{self.name} cannot be written as {self.suffix!r}: use one of {', '.join(kinds)}")
@@ -122,6 +164,8 @@ class Drawing:
             )
 
     def _checked(self, entry: str) -> LoadingTable:
+        """Return a table as read-only float64. Raise `BadInput` if its shape or a value is not possible."""
+
         values = _fixed(getattr(self, entry))
         shape = np.shape(self.loadings_sd)
         if values.ndim != 2 or len(values) == 0 or values.shape != shape:
@@ -140,7 +184,7 @@ class Drawing:
         return values
 
     def document(self) -> dict[str, Any]:
-        """Give the drawing as JSON, from which `drawing_of` makes it again, bit-equal."""
+        """Return the drawing as JSON data, from which `drawing_of` restores it bit-equal."""
         return {
             "name": self.name,
             "suffix": self.suffix,
@@ -155,7 +199,7 @@ class Drawing:
 
 
 def drawing_of(document: Mapping[str, Any], region_mask: Mask | None = None) -> Drawing:
-    """Make the drawing that gave this document. Raises `BadInput` where an entry is missing or of another kind."""
+    """Restore a drawing from its document. Raises `BadInput` if an entry is missing or has the wrong type."""
     try:
         placing = document["placing"]
         return Drawing(
@@ -184,7 +228,7 @@ def _placing_of(document: Mapping[str, Any]) -> Placing:
 
 
 def check_name(name: str) -> None:
-    """Raise `BadInput` where a stimulus' name cannot name a file in the set's folder on every usual system."""
+    """Raise `BadInput` if a stimulus' name is not a valid file name on Linux, macOS and Windows."""
     parts = name.split("/")
     for part in parts:
         wrong = UNFIT.search(part)
@@ -206,7 +250,7 @@ def check_name(name: str) -> None:
 
 
 def _fixed(values: Any) -> AnyArray:
-    """Give a read-only copy in float64."""
+    """Return a read-only float64 copy."""
     array = np.array(values, np.float64)
     array.setflags(write=False)
     return array

@@ -1,4 +1,4 @@
-"""From a drawing to pictures, frame by frame (Nagle section 2: mean + P l, then the texture where it is sent)."""
+"""Draw the images of a drawing, frame by frame (Nagle section 2: mean + P l, then the warp of the texture)."""
 
 from __future__ import annotations
 
@@ -18,8 +18,21 @@ from morphspace.stimuli.drawing import Drawing
 def draw(model: MorphModel, drawing: Drawing, originals: Iterable[Image] | None = None) -> Iterator[Image]:
     """Draw the frames (h, w, 3) of a drawing, in order, in constant memory.
 
-    `originals` are the pictures of its placing, one a frame. Raises `BadInput` where the model has fewer components
-    than the drawing, or originals are missing.
+    Parameters
+    ----------
+    model : MorphModel
+    drawing : Drawing
+    originals : iterable of n images (h, w, 3), or None
+        The originals of the drawing's placing.
+
+    Yields
+    ------
+    array (h, w, 3)
+
+    Raises
+    ------
+    BadInput
+        If the model has fewer components than the drawing, or the originals are missing.
     """
     for morph, image in morphs_and_images(model, drawing, originals, 1):
         del morph
@@ -29,7 +42,7 @@ def draw(model: MorphModel, drawing: Drawing, originals: Iterable[Image] | None 
 def morphs_and_images(
     model: MorphModel, drawing: Drawing, originals: Iterable[Image] | None, workers: int
 ) -> Iterator[tuple[Morph, Image]]:
-    """Draw the frames of a drawing by so many threads, in order: the morph, and the picture (h, w, 3) of it."""
+    """Yield the morph and the image (h, w, 3) of each frame, in order, drawn by `workers` threads."""
     mask = mask_of(model, drawing)
     count = len(drawing.loadings_sd)
     if drawing.placing is not None and originals is None:
@@ -52,7 +65,7 @@ def morphs_and_images(
 
 
 def mask_of(model: MorphModel, drawing: Drawing) -> Mask | None:
-    """Give the mask (h, w) of a drawing's region on the mean face, None where the whole face is drawn."""
+    """Return the mask (h, w) of a drawing's region on the mean face; None for the whole face."""
     if drawing.region is None:
         return None
     mask = region_of(model, drawing.region) if drawing.region_mask is None else drawing.region_mask
@@ -65,7 +78,7 @@ def mask_of(model: MorphModel, drawing: Drawing) -> Mask | None:
 
 
 def morph_at(model: MorphModel, drawing: Drawing, row: int, mask: Mask | None) -> Morph:
-    """Give the morph of one frame of a drawing; `mask` as `mask_of` gives it."""
+    """Return the morph of one frame of a drawing, with the mask that `mask_of` returns."""
     colour = None if drawing.colour_sd is None else drawing.colour_sd[row]
     inside = _morph(model, drawing.loadings_sd[row], colour)
     if mask is None or drawing.outside_sd is None:

@@ -1,10 +1,10 @@
-"""Image statistics of a stimulus, from the 8-bit codes that its file holds: what low-level controls are reported by.
+"""Image statistics of a stimulus, measured on its 8-bit codes, for reports of low-level differences.
 
-Each figure is given twice: in linear light (sRGB decoded by IEC 61966-2-1, what a calibrated screen shows) and in code
-values (what most published scripts measure), both from 0 to 1. Luminance is the weighted sum of the channels of ITU-R
+Each statistic is given for linear light (sRGB decoded by IEC 61966-2-1, the output of a calibrated screen) and for
+code values (measured by most published scripts), both 0 to 1. Luminance is the weighted sum of the channels of ITU-R
 BT.709. RMS contrast is the standard deviation of luminance over its mean (Moulden, Kingdom and Gatley, Perception 19,
-1990); with the mean beside it the bare standard deviation (Peli, JOSA A 7, 1990) follows. The spectral slope is that
-of log amplitude against log spatial frequency (Field, JOSA A 4, 1987), near -1 for natural pictures.
+1990); times the mean it is the standard deviation of Peli (JOSA A 7, 1990). The spectral slope is that of log
+amplitude on log spatial frequency (Field, JOSA A 4, 1987), near -1 for natural images.
 """
 
 from __future__ import annotations
@@ -32,10 +32,30 @@ DARK = 1e-6  # mean luminance below which contrast has no meaning
 
 
 def image_statistics(frames: Iterable[AnyArray]) -> dict[str, dict[str, float | None]]:
-    """Give the statistics of 8-bit frames (h, w, 3) uint8, of one picture or the mean over a video's frames.
+    """Compute the statistics of one image, or their means over the frames of a video.
 
-    The answer has an entry a space (`linear`, `code`) with the `FIGURES`; None where a figure has no meaning: the
-    contrast of black, the slope of a plain surface or of a picture too small for a spectrum. Raises `BadInput`.
+    Parameters
+    ----------
+    frames : iterable of arrays (h, w, 3) uint8
+
+    Returns
+    -------
+    dict of dict
+        `linear` and `code`, each with the `FIGURES`. None where a statistic is undefined: the contrast of a black
+        image,
+        the slope of a uniform or very small image.
+
+    Raises
+    ------
+    BadInput
+        If there are no frames or one is not (h, w, 3) uint8.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> grey = image_statistics([np.full((4, 4, 3), 255, np.uint8)])["code"]
+    >>> grey["luminance"], grey["rms_contrast"], grey["spectral_slope"]
+    (1.0, 0.0, None)
     """
     kept: list[AnyArray] = []
     for codes in frames:
@@ -59,10 +79,10 @@ def image_statistics(frames: Iterable[AnyArray]) -> dict[str, dict[str, float | 
 
 
 def spectral_slope(luminance: AnyArray) -> float:
-    """Give the slope of log amplitude on log frequency of a plane (h, w) float32; NaN where there is none.
+    """Return the slope of log amplitude on log frequency of a plane (h, w) float32; NaN if it is undefined.
 
-    The mean is taken out and a Hann window put on; power is averaged over directions and over bands of a third of an
-    octave, from `LOWEST_CYCLES` a lower side to half the Nyquist frequency, each band weighing the same.
+    The mean is removed and a Hann window applied. Power is averaged over directions and over bands of a third of an
+    octave, from `LOWEST_CYCLES` per shorter side to half the Nyquist frequency. All bands have equal weight.
     """
     window, band, counts, log_frequency = _spectrum_of(*luminance.shape)
     if len(counts) < LEAST_BANDS:
@@ -81,7 +101,7 @@ def spectral_slope(luminance: AnyArray) -> float:
 
 @lru_cache(maxsize=8)
 def _spectrum_of(height: int, width: int) -> tuple[AnyArray, AnyArray, AnyArray, AnyArray]:
-    """Give window (h, w), band of each frequency (h, w // 2 + 1), their counts and log mean frequencies (cycles/px)."""
+    """Return the window (h, w), the band of each frequency (h, w // 2 + 1), their counts and mean log frequencies."""
     window = np.outer(np.hanning(height + 2)[1:-1], np.hanning(width + 2)[1:-1]).astype(np.float32)
     fy, fx = np.fft.fftfreq(height)[:, None], np.fft.rfftfreq(width)[None]
     frequency = np.hypot(fy, fx)
@@ -101,7 +121,7 @@ def _spectrum_of(height: int, width: int) -> tuple[AnyArray, AnyArray, AnyArray,
 
 
 def _table(space: str) -> AnyArray:
-    """Give what each 8-bit code stands for, (256,) float64 in [0, 1]."""
+    """Return the value of each 8-bit code, (256,) float64 in [0, 1]."""
     coded = np.arange(256) / 255
     if space == "code":
         return coded
@@ -113,7 +133,7 @@ TABLES_32 = {space: table.astype(np.float32) for space, table in TABLES.items()}
 
 
 def _values(codes: AnyArray, space: str) -> tuple[AnyArray, AnyArray]:
-    """Give the luminance (h, w) float32 and the channels' means (3,)."""
+    """Return the luminance (h, w) float32 and the means of the channels (3,)."""
     table = TABLES[space]
     means = np.array([np.bincount(codes[..., c].ravel(), minlength=256) @ table for c in range(3)])
     values = cv2.LUT(np.ascontiguousarray(codes), TABLES_32[space])

@@ -1,4 +1,4 @@
-"""The words for what can be done to recorded motions; light, so that the command line's help is instant."""
+"""The names of the operations on recorded motion, in a module of few imports for the command line's help."""
 
 from __future__ import annotations
 
@@ -12,14 +12,24 @@ HELP_WIDTH = 96  # characters, of a help page of 100
 
 @dataclass(frozen=True)
 class Word:
-    """How an operation is written: what numbers it `takes`, their `unit`, and what it does, `told` in words."""
+    """The notation of an operation.
+
+    Attributes
+    ----------
+    takes : str
+        The numbers that the operation needs.
+    unit : str
+        Their unit.
+    effect : str
+        The description for the help.
+    """
 
     takes: Literal["nothing", "number", "number or nothing", "span"]
     unit: str
-    told: str
+    effect: str
 
     def form(self, word: str) -> str:
-        """Give how it is written, such as `smooth=HZ`."""
+        """Return the notation, such as `smooth=HZ`."""
         return {
             "nothing": word,
             "number": f"{word}={self.unit}",
@@ -62,10 +72,10 @@ GUIDED = ("timing", "caricature")
 
 
 def operations_help() -> str:
-    """Write one line for each operation, or more where it is long: its form, and what it does."""
-    forms = {word.form(name): word.told for name, word in WORDS.items()}
+    """Return the help: the notation and the effect of each operation."""
+    forms = {word.form(name): word.effect for name, word in WORDS.items()}
     width = max(map(len, forms)) + 2
     return "\n".join(
-        textwrap.fill(told, HELP_WIDTH, initial_indent=form.ljust(width), subsequent_indent=" " * width)
-        for form, told in forms.items()
+        textwrap.fill(effect, HELP_WIDTH, initial_indent=form.ljust(width), subsequent_indent=" " * width)
+        for form, effect in forms.items()
     )

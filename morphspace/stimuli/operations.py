@@ -1,6 +1,6 @@
-"""What can be done to recorded motions, by the words of a command line or a recipe, one after the other.
+"""Operations on recorded motions, applied in order, as a command line or a recipe names them.
 
-Most operations change every motion by itself; `splice` and `average` make one of all, and `caricature` compares them.
+Most operations change each motion separately. `splice` and `average` combine all motions, `caricature` compares them.
 """
 
 from __future__ import annotations
@@ -19,14 +19,23 @@ from morphspace.stimuli import timing, trajectory
 from morphspace.stimuli.motion_words import WORDS, Word
 from morphspace.stimuli.timing import Ends
 
-LONGEST_NAME = 80  # of motions that were joined; longer ones are counted
-SAME_RATE = 1e-6  # of the rate
+LONGEST_NAME = 80  # characters; the names of more motions are replaced by their number
+SAME_RATE = 1e-6  # relative
 NUMBER = re.compile(r"[+-]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][+-]?[0-9]+)?")
 
 
 @dataclass(frozen=True, eq=False)
 class Motion:
-    """A motion: `loadings_sd` (n, k) SD, one row a frame, at `rate_hz`; `ends` closed where it is a loop."""
+    """A recorded motion.
+
+    Attributes
+    ----------
+    name : str
+    loadings_sd : array (n, k), SD, one row per frame
+    rate_hz : float
+    ends : "open" or "closed"
+        "closed" if the motion is a loop.
+    """
 
     name: str
     loadings_sd: LoadingTable
@@ -35,13 +44,13 @@ class Motion:
 
     @property
     def duration_s(self) -> float:
-        """How long its frames are shown, s."""
+        """The duration of its frames, s."""
         return len(self.loadings_sd) / self.rate_hz
 
 
 @dataclass(frozen=True)
 class Operation:
-    """An operation by its word, with its numbers: none, one, or two."""
+    """An operation and its numbers: none, one or two."""
 
     word: str
     numbers: tuple[float, ...] = ()
@@ -53,7 +62,15 @@ class Operation:
 
 @dataclass(frozen=True, eq=False)
 class Setting:
-    """What operations need besides their motions: `weights` (k,), the model's SD; a guide, if any; random numbers."""
+    """The input of operations apart from the motions.
+
+    Attributes
+    ----------
+    weights : array (k,)
+        The model's SD.
+    guide : Motion or None
+    rng : numpy.random.Generator
+    """
 
     weights: AnyArray
     guide: Motion | None
@@ -64,6 +81,8 @@ Work: TypeAlias = Callable[[Sequence[Motion], tuple[float, ...], Setting], Seque
 
 
 def _each(work: Callable[[Motion, tuple[float, ...], Setting], Motion]) -> Work:
+    """Make a function of several motions from a function of one."""
+
     def apply(motions: Sequence[Motion], numbers: tuple[float, ...], setting: Setting) -> Sequence[Motion]:
         return [work(motion, numbers, setting) for motion in motions]
 
@@ -198,9 +217,17 @@ WORKS: Mapping[str, Work] = {
 
 
 def operations_of(given: Sequence[str | Mapping[str, Any]]) -> tuple[Operation, ...]:
-    """Read operations as a command line (`smooth=6`, `loop`) or a recipe (`{smooth: 6}`, `loop`) writes them.
+    """Parse operations of a command line (`smooth=6`, `loop`) or a recipe (`{smooth: 6}`, `loop`).
 
-    Raises `BadInput` for a word that is none, naming the nearest, and for numbers that are missing, too many or none.
+    Raises
+    ------
+    BadInput
+        If a name is unknown (the message suggests the nearest), or the numbers are not as needed.
+
+    Examples
+    --------
+    >>> [str(operation) for operation in operations_of(["smooth=6", {"part": "0:2"}, "loop"])]
+    ['smooth=6', 'part=0:2', 'loop']
     """
     found = []
     for one in given:
@@ -245,10 +272,27 @@ def worked(
     guide: Motion | None = None,
     seed: int = 0,
 ) -> tuple[Motion, ...]:
-    """Do operations to motions, in their order, and give what is left: one, or as many as there were.
+    """Apply operations to motions, in order.
 
-    `weights` (k,) are the model's SD; each operation has random numbers of its own, fixed by `seed`. Raises `BadInput`
-    that opens with the operation.
+    Parameters
+    ----------
+    motions : sequence of Motion
+    operations : sequence of Operation
+    weights : array (k,)
+        The model's SD.
+    guide : Motion or None
+    seed : int
+        Each operation has its own random numbers, fixed by the seed and its place.
+
+    Returns
+    -------
+    tuple of Motion
+        One motion, or as many as before.
+
+    Raises
+    ------
+    BadInput
+        If an operation cannot be applied; the message starts with it.
     """
     found = list(motions)
     for place, operation in enumerate(operations):
@@ -277,7 +321,7 @@ def _join_frames(numbers: tuple[float, ...], rate_hz: float, word: str) -> int |
 
 
 def _check_alike(motions: Sequence[Motion], word: str) -> None:
-    """Raise `BadInput` where motions cannot be put together: there is one, or rates or components differ."""
+    """Raise `BadInput` if motions cannot be combined: there is one, or their rates or components differ."""
     if len(motions) < 2:
         raise BadInput(
             f"{word} puts several motions together, {len(motions)} is there: give at least 2 tables"

@@ -1,8 +1,8 @@
-"""How far from the model's mean a stimulus lies, and whether its face is one the model can vouch for (ours).
+"""The distance of a stimulus from the model's mean, compared with that of the training faces (ours).
 
-The rms of the loadings in SD is the Mahalanobis distance over the square root of the number of components: 1 for a
-typical face of the training distribution. A component is beyond what is plausible where it is further out than 3 SD
-and than any training face was; a warp folds where a triangle of the mean face turns over.
+The rms of the loadings in SD is the Mahalanobis distance divided by the square root of the number of components:
+about 1 for a face of the training distribution. A component is implausible if it exceeds both 3 SD and the largest
+value of the training faces. A warp folds where a triangle of the mean face is flipped.
 """
 
 from __future__ import annotations
@@ -15,14 +15,24 @@ import numpy as np
 from morphspace.arrays import AnyArray, LoadingTable
 from morphspace.model.model import MorphModel
 
-PLAUSIBLE_SD = 3.0  # one training value in 370 lies further out, were they normal
-TOLERANCE = 0.01  # a training face that is encoded again comes back within it
+PLAUSIBLE_SD = 3.0  # SD; exceeded by one normal value in 370
+TOLERANCE = 0.01  # relative; the error of encoding a training face again
 
 
 @dataclass(frozen=True)
 class Plausibility:
-    """Of one stimulus, over its frames: `largest_sd` and the component (from 1) that has it; `rms_sd`, the largest of
-    a frame; `beyond`, the components (from 1) that are beyond what is plausible.
+    """The plausibility of one stimulus, over all its frames.
+
+    Attributes
+    ----------
+    largest_sd : float, SD
+        The largest absolute loading.
+    largest_component : int, from 1
+        The component of that loading.
+    rms_sd : float, SD
+        The largest rms of a frame.
+    beyond : tuple of int, from 1
+        The implausible components.
     """
 
     largest_sd: float
@@ -32,14 +42,21 @@ class Plausibility:
 
 
 def plausible_limits_sd(model: MorphModel) -> AnyArray:
-    """Give how far each component (k,) may go, in SD: 3, or as far as a training face went."""
+    """Return the limit (k,) of each component, SD: 3, or the largest absolute value of the training faces."""
     sd = np.where(model.sd > 0, model.sd, 1)
     furthest = np.abs(model.training.values[:, : model.rank] / sd).max(axis=0, initial=0)
     return np.maximum(PLAUSIBLE_SD, furthest)
 
 
 def plausibility(limits_sd: AnyArray, tables_sd: Iterable[LoadingTable]) -> Plausibility:
-    """Judge the tables (n, j) of a stimulus by the limits (k,) that `plausible_limits_sd` gives."""
+    """Compare the tables (n, j) SD of a stimulus with the limits (k,) of `plausible_limits_sd`.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> plausibility(np.array([3.0, 3.0]), [np.array([[1.0, -4.0]])]).beyond
+    (2,)
+    """
     values = np.abs(np.concatenate(list(tables_sd)))
     largest = values.max(axis=0, initial=0)
     place = int(largest.argmax()) if largest.size else 0

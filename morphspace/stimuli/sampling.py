@@ -1,4 +1,4 @@
-"""Faces as loadings in SD: at random, from the training faces' normal distribution, or along one component (ours)."""
+"""Sample faces as loadings in SD: from the normal distribution of the training faces, or along one component (ours)."""
 
 from __future__ import annotations
 
@@ -8,16 +8,35 @@ from morphspace.arrays import AnyArray, LoadingTable
 from morphspace.errors import BadInput
 from morphspace.model.model import MorphModel
 
-LEAST_SHARE = 0.01  # of the spread: a cut-off below it would have most numbers drawn hundreds of times
+LEAST_SHARE = 0.01  # of the spread; a lower limit would resample most values hundreds of times
 
 
 def drawn_sd(
     rng: np.random.Generator, count: int, rank: int, *, spread: float, max_sd: float | None
 ) -> tuple[LoadingTable, int]:
-    """Draw loadings (count, rank) in SD, and tell how many numbers were drawn again because they lay beyond `max_sd`.
+    """Sample loadings from a normal distribution, truncated at `max_sd`.
 
-    The components are independent: to draw one loading again is the same as to reject the face for it and draw faces
-    until one passes. Raises `BadInput` for a `max_sd` that next to nothing would pass.
+    The components are independent. Resampling one loading is therefore equivalent to rejecting the whole face.
+
+    Parameters
+    ----------
+    rng : numpy.random.Generator
+    count, rank : int
+    spread : float, SD
+        The standard deviation.
+    max_sd : float, SD, or None
+        The largest absolute value.
+
+    Returns
+    -------
+    array (count, rank), SD
+    int
+        The number of values that were sampled again.
+
+    Raises
+    ------
+    BadInput
+        If `max_sd` is so small that nearly all values would be sampled again.
     """
     values = rng.standard_normal((count, rank)) * spread
     if max_sd is None:
@@ -38,7 +57,7 @@ def drawn_sd(
 
 
 def along(model: MorphModel, component: int, amounts_sd: AnyArray) -> LoadingTable:
-    """Give the loadings (n, k) SD at these amounts along one component, all others at 0."""
+    """Return loadings (n, k) SD with these amounts along one component (from 0) and 0 in all others."""
     table = np.zeros((len(amounts_sd), model.rank))
     table[:, component] = amounts_sd
     return table

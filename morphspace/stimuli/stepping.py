@@ -1,7 +1,7 @@
-"""How much one face differs from the next: in the warp, in colour, for a measure of pictures; and steps made equal.
+"""Differences between neighbouring faces of a continuum (warp, colour, image), and the equalisation of its steps.
 
-CIEDE2000 is the colour difference of CIE 142 (Luo, Cui and Rigg, Color Research and Application 26, 2001), here of sRGB
-under D65, pixel by pixel, averaged over the mask. SSIM is that of Wang et al. (2004).
+CIEDE2000 is the colour difference of CIE 142 (Luo, Cui and Rigg, Color Research and Application 26, 2001), for sRGB
+under D65, per pixel and averaged over the mask. SSIM is that of Wang et al. (2004).
 """
 
 from __future__ import annotations
@@ -18,9 +18,9 @@ from morphspace.grid import warp
 from morphspace.linear import quality
 
 CODES = 255  # of an 8-bit file
-EVEN = 0.005  # steps that differ from their mean by less are equal; the goal is 0.03
+EVEN = 0.005  # relative deviation at which to stop; 0.03 is required
 ROUNDS = 30  # at most; 4 to 8 are usual
-PATIENCE = 5  # rounds that bring nothing, after which the codes of a file let it be no more even
+PATIENCE = 5  # rounds without improvement; the 8-bit codes limit further equality
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,17 +32,26 @@ class Equalised:
 
     @property
     def unevenness(self) -> float:
-        """How far the step furthest from the mean size is from it, as a share of that."""
+        """The largest deviation of a step from the mean size, as a share of the mean."""
         return unevenness(self.sizes)
 
 
 @dataclass(frozen=True)
 class Change:
-    """What a step changes, inside the mask.
+    """The change in one step, inside the mask.
 
-    `warp_rms_px` how far points of the face move, `texture_rms_codes` how much their colours change, in 8-bit codes |
-    of the two pictures: `ciede2000`, and `ssim`, 1 where they are equal | the same where only the shape changes, and
-    the colours are those of the middle of the step; and where only the colours change, on the shape of its middle.
+    Attributes
+    ----------
+    warp_rms_px : float, px
+        The rms movement of the points of the face.
+    texture_rms_codes : float, 8-bit codes
+        The rms change of their colours.
+    ciede2000, ssim : float
+        The difference and similarity of the two images; SSIM is 1 for equal images.
+    shape_ciede2000, shape_ssim : float
+        The same if only the shape changes; the colours are those of the middle of the step.
+    colour_ciede2000, colour_ssim : float
+        The same if only the colours change; the shape is that of the middle of the step.
     """
 
     warp_rms_px: float
@@ -56,22 +65,22 @@ class Change:
 
 
 class Path(Protocol):
-    """Faces along a way: texture (h, w, 3) and displacement (h, w, 2) px of the mean face at each position."""
+    """Faces along a path: texture (h, w, 3) and displacement (h, w, 2) px of the mean face at each position."""
 
     def texture(self, position: float) -> Image:
-        """Give the texture at a position."""
+        """Return the texture at a position."""
 
     def displacement(self, position: float) -> Displacement:
-        """Give the displacement at a position."""
+        """Return the displacement at a position."""
 
 
 def as_shown(image: Image) -> Image:
-    """Give an image (h, w, 3) with the colours an 8-bit file holds: clipped to [0, 1] and rounded to a 255th."""
+    """Round an image (h, w, 3) to the colours of an 8-bit file: clipped to [0, 1], in steps of 1/255."""
     return (np.rint(np.clip(image, 0, 1) * np.float32(CODES)) / np.float32(CODES)).astype(np.float32)
 
 
 def ciede2000(one: Image, other: Image, mask: Mask) -> float:
-    """Give the colour difference CIEDE2000 of two pictures (h, w, 3), averaged over the mask (h, w)."""
+    """Return the mean colour difference CIEDE2000 of two images (h, w, 3) over the mask (h, w)."""
     from skimage.color import deltaE_ciede2000, rgb2lab
 
     lab = [rgb2lab(np.clip(picture, 0, 1).astype(np.float64)) for picture in (one, other)]
@@ -79,7 +88,7 @@ def ciede2000(one: Image, other: Image, mask: Mask) -> float:
 
 
 def difference(one: Image, other: Image, mask: Mask, kind: str) -> float:
-    """Give how much two pictures differ: mean "ciede2000", or 1 - "ssim"; 0 for equal pictures."""
+    """Return the difference of two images: mean "ciede2000", or 1 - "ssim"; 0 for equal images. Raises `BadInput`."""
     if kind == "ciede2000":
         return ciede2000(one, other, mask)
     if kind == "ssim":
@@ -88,7 +97,7 @@ def difference(one: Image, other: Image, mask: Mask, kind: str) -> float:
 
 
 def change(path: Path, start: float, stop: float, mask: Mask) -> Change:
-    """Measure the step from one position of a path to another."""
+    """Measure the step between two positions of a path."""
     middle = (start + stop) / 2
     textures = [path.texture(at) for at in (start, middle, stop)]
     fields = [path.displacement(at) for at in (start, middle, stop)]
@@ -112,7 +121,14 @@ def change(path: Path, start: float, stop: float, mask: Mask) -> Change:
 
 
 def unevenness(sizes: AnyArray) -> float:
-    """Give how far the size furthest from the mean is from it, as a share of that; 0 where all are 0."""
+    """Return the largest deviation of a size from the mean, as a share of the mean; 0 if all are 0.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> unevenness(np.array([1.0, 1.5, 0.5]))
+    0.5
+    """
     mean = float(np.mean(sizes))
     return float(np.abs(sizes - mean).max() / mean) if mean > 0 else 0.0
 
@@ -120,12 +136,36 @@ def unevenness(sizes: AnyArray) -> float:
 def equalised(
     sizes_of: Callable[[AnyArray], AnyArray], positions: AnyArray, power: float = 1.0, *, even: float = EVEN
 ) -> Equalised:
-    """Move positions (n,) between their ends, which stay, until the steps between them are of equal size.
+    """Move positions between their fixed ends until the steps between them have equal sizes.
 
-    Parameters: sizes_of, gives the sizes (n - 1,) of the steps between positions in rising order; power, how a step's
-    size grows with its length while both are small; even, when to stop. Each round spreads the positions over the
-    running sum of the steps' lengths as the last round measured them; the best round is given. Raises `BadInput` where
-    no step has any size.
+    Each round places the positions evenly along the cumulative step length that the last round measured.
+
+    Parameters
+    ----------
+    sizes_of : function
+        Returns the sizes (n - 1,) of the steps between rising positions (n,).
+    positions : array (n,)
+    power : float
+        The size of a small step grows with this power of its length.
+    even : float
+        The unevenness at which to stop.
+
+    Returns
+    -------
+    Equalised
+        The best round.
+
+    Raises
+    ------
+    BadInput
+        If all steps have size 0.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> found = equalised(lambda p: np.diff(p**2), np.linspace(0, 1, 3))
+    >>> found.positions.round(2).tolist()
+    [0.0, 0.71, 1.0]
     """
     best: Equalised | None = None
     waited = 0

@@ -1,4 +1,4 @@
-"""Whether a table of loadings belongs to a model, and can be drawn."""
+"""Check that a table of loadings belongs to a model and can be drawn."""
 
 from __future__ import annotations
 
@@ -14,7 +14,15 @@ from morphspace.stimuli.drawing import FURTHEST_SD
 
 
 def check_table(model: MorphModel, table: LoadingsTable, path: Path) -> tuple[str, ...]:
-    """Raise where a table belongs to another model or has too many components; note where that cannot be told."""
+    """Check that a table belongs to the model. Return a note if it has no JSON file to compare.
+
+    Raises
+    ------
+    ReferenceMismatch
+        If the table belongs to another model.
+    BadInput
+        If it has more components than the model.
+    """
     columns = table.loadings_sd.shape[1]
     if columns > model.rank:
         raise BadInput(
@@ -32,7 +40,7 @@ def check_table(model: MorphModel, table: LoadingsTable, path: Path) -> tuple[st
 
 
 def check_reach(loadings_sd: LoadingTable, names: tuple[str, ...], path: Path) -> None:
-    """Raise `BadInput` where a loading lies further from the mean than any face can, naming its row and column."""
+    """Raise `BadInput`, which names row and column, if a loading is beyond `FURTHEST_SD`."""
     with np.errstate(invalid="ignore"):
         beyond = np.argwhere(~(np.abs(loadings_sd) <= FURTHEST_SD))
     if len(beyond):

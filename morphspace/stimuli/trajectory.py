@@ -1,8 +1,8 @@
-"""Recorded motion as data: joined, looped, averaged, caricatured, and scrambled for control conditions.
+"""Recorded motion as data: splicing, loops, averages, caricatures, and scrambling for control conditions.
 
-A motion is a table of loadings (n, k), one row a frame; its timing is the business of `timing`. A step is the
-Euclidean distance between successive frames, each component counted by `weights` (k,); the model's SD make it the
-distance between faces that the model measures.
+A motion is a table of loadings (n, k), one row per frame; `timing` changes its timing. A step is the Euclidean
+distance between successive frames, with `weights` (k,) for the components. With the model's SD it is the model's
+distance between faces.
 """
 
 from __future__ import annotations
@@ -17,21 +17,21 @@ from morphspace.errors import BadInput
 from morphspace.imitation.alignment import align
 from morphspace.stimuli.timing import MOST_FRAMES, at_positions, check_same_components, positions_like
 
-VELOCITY_FRAMES = 2  # over which the velocity at an end is taken; one step alone is mostly noise
-AVERAGING_ROUNDS = 10  # at most; the mean of real clips stands still after 3 to 6
-FADING_FRAMES = 2.0  # sd with which an end's velocity dies away in a join; it leads on by at most 1.2 steps
-STILL = 1e-6  # of the median step: a mean that moves less from round to round stands still
-LARGEST_GAIN = 1000.0  # either way; more than any face can be drawn with
+VELOCITY_FRAMES = 2  # frames of the velocity at an end; a single step is mostly noise
+AVERAGING_ROUNDS = 10  # at most; means of real clips converge in 3 to 6
+FADING_FRAMES = 2.0  # SD, frames, of the decay of an end's velocity; it overshoots by at most 1.2 steps
+STILL = 1e-6  # of the median step; a mean that changes less has converged
+LARGEST_GAIN = 1000.0  # absolute; no face can be drawn with more
 LONGEST_BRIDGE = 10_000  # frames
 
 
 def step_lengths(loadings: LoadingTable, weights: AnyArray) -> AnyArray:
-    """Give the length of each step of a motion (n, k), (n - 1,)."""
+    """Return the length (n - 1,) of each step of a motion (n, k)."""
     return np.sqrt((np.diff(loadings * weights, axis=0) ** 2).sum(axis=1))
 
 
 def usual_step(tables: Sequence[LoadingTable], weights: AnyArray) -> float:
-    """Give the median step of motions; of the steps that move at all where most do not. 0 where nothing moves."""
+    """Return the median step of motions; of the non-zero steps if most are 0, and 0 if all are."""
     steps = np.concatenate([step_lengths(table, weights) for table in tables])
     if not steps.any():
         return 0.0
@@ -42,12 +42,26 @@ def usual_step(tables: Sequence[LoadingTable], weights: AnyArray) -> float:
 def bridge(
     before: LoadingTable, after: LoadingTable, weights: AnyArray, most_step: float, frames: int | None = None
 ) -> LoadingTable:
-    """Give the frames (m, k) that lead softly from the end of one motion (n, k) to the start of another.
+    """Return frames (m, k) that lead smoothly from the end of one motion (n, k) to the start of another (ours).
 
-    A cubic from face to face, begun and ended with the velocities of both (shortened to `most_step`), which die away in
-    a few frames; no component goes further than it does in the motions. m is the least with which no step, those from
-    and to the motions included, is longer than `most_step`; or `frames`. Raises `BadInput` where that would take more
-    than 10,000 frames. (Ours.)
+    The path is a cubic between the two faces. It starts and ends with the velocities of the motions, limited to
+    `most_step`, which decay in a few frames. No component exceeds its range in the motions.
+
+    Parameters
+    ----------
+    before, after : array (n, k)
+    weights : array (k,)
+    most_step : float
+        The longest step allowed. m is the smallest number of frames with which all steps, including those from and to
+        the
+        motions, are no longer.
+    frames : int or None
+        Sets m instead.
+
+    Raises
+    ------
+    BadInput
+        If m would exceed 10,000.
     """
     first, last = before[-1], after[0]
     low = np.minimum(before.min(axis=0), after.min(axis=0))
@@ -75,7 +89,7 @@ def bridge(
 
 
 def _velocity(end: LoadingTable, weights: AnyArray, most_step: float) -> AnyArray:
-    """Give the velocity (k,) a frame over a few frames, no longer than a step may be."""
+    """Return the mean velocity (k,) per frame over a few frames, limited to the longest step."""
     if len(end) < 2:
         return np.zeros(end.shape[1])
     velocity = (end[-1] - end[0]) / (len(end) - 1)
@@ -86,7 +100,7 @@ def _velocity(end: LoadingTable, weights: AnyArray, most_step: float) -> AnyArra
 def _between(
     first: AnyArray, last: AnyArray, leaving: AnyArray, arriving: AnyArray, count: int
 ) -> LoadingTable:
-    """Give `count` frames evenly between two, (count, k), with these velocities (k,) a frame at the ends."""
+    """Return `count` frames (count, k) between two faces, with these velocities (k,) per frame at the ends."""
     u = (np.arange(1, count + 1) / (count + 1))[:, None]
     to, back = u * (count + 1), (1 - u) * (count + 1)  # frames
     return np.asarray(
@@ -100,9 +114,9 @@ def _between(
 def spliced(
     tables: Sequence[LoadingTable], weights: AnyArray, join_frames: int | None = None
 ) -> LoadingTable:
-    """Play motions (n_i, k) one after the other, with soft joins between them; every frame of theirs stays.
+    """Join motions (n_i, k) in order by smooth transitions; all their frames are kept.
 
-    A join is a `bridge` of no step longer than the median step of all, or of `join_frames`.
+    A transition is a `bridge` with steps no longer than the median step of all motions, or with `join_frames` frames.
     """
     for table in tables[1:]:
         check_same_components(tables[0], table)
@@ -114,10 +128,10 @@ def spliced(
 
 
 def looped(loadings: LoadingTable, weights: AnyArray, join_frames: int | None = None) -> LoadingTable:
-    """Close a motion (n, k) to a loop: frames are added that lead from its last softly back to its first.
+    """Close a motion (n, k) to a loop: append frames that lead from its last frame smoothly back to the first.
 
-    Without `join_frames`, no step of the way back is longer than the motion's median step, that from the last frame of
-    the result to the first included. Raises `BadInput` for fewer than 3 frames.
+    Without `join_frames`, no step of the return, the last one to the first frame included, exceeds the motion's
+    median step. Raises `BadInput` for fewer than 3 frames.
     """
     if len(loadings) < 3:
         raise BadInput(f"a motion of {len(loadings)} frames cannot be looped: give at least 3")
@@ -126,7 +140,14 @@ def looped(loadings: LoadingTable, weights: AnyArray, join_frames: int | None = 
 
 
 def there_and_back(loadings: LoadingTable) -> LoadingTable:
-    """Close a motion (n, k) to a loop that plays it forwards, then backwards: (2 n - 2, k)."""
+    """Close a motion (n, k) to a loop that plays forwards, then backwards: (2 n - 2, k). Raises `BadInput` for 1 frame.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> there_and_back(np.array([[0.0], [1], [2]])).ravel().tolist()
+    [0.0, 1.0, 2.0, 1.0]
+    """
     if len(loadings) < 2:
         raise BadInput(f"a motion of {len(loadings)} frames cannot go there and back: give at least 2")
     return np.concatenate([loadings, loadings[-2:0:-1]])
@@ -141,10 +162,10 @@ def _bounded(loadings: LoadingTable) -> LoadingTable:
 
 
 def scrambled_blocks(loadings: LoadingTable, block_frames: int, rng: np.random.Generator) -> LoadingTable:
-    """Put blocks of so many frames (the last may be shorter) of a motion (n, k) in random order, never their own.
+    """Permute blocks of `block_frames` frames of a motion (n, k) at random; the original order is excluded.
 
-    A control that keeps every face, and with longer blocks the motion inside them, and destroys the order. Raises
-    `BadInput` where there are fewer than 2 blocks.
+    This control keeps all faces, and the motion within blocks, but not the order. The last block may be shorter.
+    Raises `BadInput` for fewer than 2 blocks.
     """
     starts = np.arange(0, len(loadings), max(block_frames, 1))
     if block_frames < 1 or len(starts) < 2:
@@ -159,12 +180,15 @@ def scrambled_blocks(loadings: LoadingTable, block_frames: int, rng: np.random.G
 
 
 def scrambled_phase(loadings: LoadingTable, rng: np.random.Generator) -> LoadingTable:
-    """Shift each frequency of a motion (n, k) by a random phase, the same for all components: (n, k).
+    """Shift each frequency of a motion (n, k) by a random phase that is the same for all components: (n, k).
 
-    A control that keeps the mean face, the amplitude of each component at each frequency, and how the components go
-    together (their covariances, at every lag round the clip), and destroys when things happen. Prichard and Theiler,
-    Generating surrogate data for time series with several simultaneously measured variables (Phys. Rev. Lett. 73,
-    1994). Raises `BadInput` for fewer than 3 frames, which have no phase to shift.
+    This control keeps the mean face, the amplitude spectrum of each component and the covariances of components at
+    all circular lags, but not the times of events. Raises `BadInput` for fewer than 3 frames.
+
+    References
+    ----------
+    Prichard and Theiler, Generating surrogate data for time series with several simultaneously measured variables,
+    Phys. Rev. Lett. 73, 1994.
     """
     count = len(loadings)
     if count < 3:
@@ -178,11 +202,16 @@ def scrambled_phase(loadings: LoadingTable, rng: np.random.Generator) -> Loading
 
 
 def averaged(tables: Sequence[LoadingTable], weights: AnyArray) -> LoadingTable:
-    """Give the mean trajectory (m, k) of motions (n_i, k): the mean of what they show, at the mean of the times.
+    """Average motions (n_i, k) in content and in timing: the mean trajectory (m, k).
 
-    Each is aligned in time to the mean so far, beginning with the motion that is nearest to all others, until the mean
-    stands still (Petitjean, Ketterlin and Gancarski, Pattern Recognition 44, 2011); then each moment gets the mean of
-    its times in all of them (ours). The mean of a motion with itself is that motion.
+    The mean starts as the motion with the least distance to all others. All motions are aligned to it and averaged
+    until it converges. Each moment then takes the mean of its times in all motions (ours). The mean of equal motions
+    is that motion.
+
+    References
+    ----------
+    Petitjean, Ketterlin and Gancarski, A global averaging method for dynamic time warping, Pattern Recognition 44,
+    2011.
     """
     for table in tables[1:]:
         check_same_components(tables[0], table)
@@ -202,7 +231,7 @@ def averaged(tables: Sequence[LoadingTable], weights: AnyArray) -> LoadingTable:
 
 
 def _nearest_to_all(tables: Sequence[LoadingTable], weights: AnyArray) -> int:
-    """Give which motion has the least mean distance from the others along their alignments; the first of equals."""
+    """Return the index of the motion with the least mean distance to the others along their alignments."""
     far = np.zeros((len(tables), len(tables)))
     for i, one in enumerate(tables):
         for j, other in enumerate(tables[:i]):
@@ -212,10 +241,10 @@ def _nearest_to_all(tables: Sequence[LoadingTable], weights: AnyArray) -> int:
 
 
 def caricatured(loadings: LoadingTable, mean: LoadingTable, gain: float, weights: AnyArray) -> LoadingTable:
-    """Exaggerate how a motion (n, k) differs from a mean trajectory (m, k), which is aligned to its timing: (n, k).
+    """Exaggerate the difference of a motion (n, k) from a mean trajectory (m, k), aligned to its timing: (n, k).
 
-    Gain 1 is the motion itself, 0 the mean trajectory in the motion's own timing, above 1 a dynamic caricature, below 0
-    its opposite. Raises `BadInput` for a gain beyond +-1000.
+    Gain 1 is the motion itself, 0 the mean trajectory with the motion's timing, above 1 a dynamic caricature, below 0
+    an anti-caricature. Raises `BadInput` for a gain beyond +-1000.
     """
     if not abs(gain) <= LARGEST_GAIN:
         raise BadInput(
