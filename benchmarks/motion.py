@@ -21,7 +21,8 @@ from morphspace.imitation.shape import centred
 from morphspace.io.images import read_image
 from morphspace.io.tables import read_loadings_table, read_metrics_table
 from morphspace.linear import quality
-from morphspace.model.model import Loadings, MorphModel, load_model
+from morphspace.model.loadings import Loadings
+from morphspace.model.model import MorphModel, load_model
 from morphspace.notebook import build
 from morphspace.steps import result_of
 from morphspace.stimuli import stepping, timing, trajectory

@@ -21,7 +21,8 @@ from morphspace.grid import warp
 from morphspace.io.colour import codes_of
 from morphspace.linear.pca import Basis, fit_basis
 from morphspace.linear.rows import RowArray
-from morphspace.model.model import Loadings, MorphModel, inner_product, load_model
+from morphspace.model.loadings import Loadings
+from morphspace.model.model import MorphModel, inner_product, load_model
 from morphspace.model.morph import Morph
 
 WIDTH, HEIGHT = 200, 240

@@ -19,7 +19,8 @@ from morphspace.io.images import read_image, write_image
 from morphspace.io.stimulus_sidecars import read_stimulus_sidecar
 from morphspace.io.video import read_frames
 from morphspace.model import fit
-from morphspace.model.model import Loadings, MorphModel
+from morphspace.model.loadings import Loadings
+from morphspace.model.model import MorphModel
 from morphspace.steps import in_order, result_of, spread
 from morphspace.stimuli.image_statistics import image_statistics
 from morphspace.verbs import caricature, replay

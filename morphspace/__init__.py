@@ -22,7 +22,7 @@ _HOMES = {
     "Faces": "notebook",
     "Framing": "io.framing",
     "load": "notebook",
-    "Loadings": "model.model",
+    "Loadings": "model.loadings",
     "mimic": "notebook",
     "Morph": "model.morph",
     "MorphModel": "model.model",

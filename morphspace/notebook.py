@@ -24,7 +24,8 @@ from morphspace.io.images import write_image
 from morphspace.model.display import card, picture_tag
 from morphspace.model.encode import encoded_frames, framed_for, joined
 from morphspace.model.from_clip import ClipSettings, build_clip
-from morphspace.model.model import Loadings, MorphModel, load_model
+from morphspace.model.loadings import Loadings
+from morphspace.model.model import MorphModel, load_model
 from morphspace.outcome import versions
 from morphspace.steps import Step, Steps, result_of
 from morphspace.stimuli.caricature import caricatured, components_named

@@ -20,7 +20,8 @@ from morphspace.model.keypoints import (
     with_detected,
 )
 from morphspace.model.landmarks import learn_landmarks
-from morphspace.model.model import Loadings, MorphModel, inner_product, model_digest
+from morphspace.model.loadings import Loadings
+from morphspace.model.model import MorphModel, inner_product, model_digest
 from morphspace.model.morph import Morph
 from morphspace.synthetic import Actor, Expression, Identity, drawn_actor
 from morphspace.synthetic.inverse import at_points

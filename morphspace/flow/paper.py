@@ -7,7 +7,7 @@ the warps so far. 50 passes of a 3 x 3 mean weighted by |Laplacian| then fill fl
 upsampled and composed, and the frame is warped again. The result is blended with the field of a single scale by local
 error.
 
-The motion at one scale is the model's first form (Johnston, McOwan and Benton 1999) as in `mcgm`: 24 directions,
+The motion at one scale is the model's first form (Johnston, McOwan and Benton 1999) as in `motion`: 24 directions,
 Taylor weights, ratios of inner products over all channels, speed from determinants, direction from a vector sum. Two
 pictures are the only samples in time. Spatial derivatives are of their mean, the derivative in time is their
 difference, and there is no second derivative, so only terms without time remain (m = 0).

@@ -3,7 +3,7 @@
 Components are orthonormal over the whole face. They are not over a part of it, so inner products over a part would
 mix them. Under probabilistic PCA each loading has its variance, and the variance outside the components is noise. The
 posterior mean then estimates the loadings from a part of the face, and from further observations such as landmarks
-(Tipping and Bishop, Probabilistic principal component analysis, 1999, equation 12; methods 5, steps 4 and 6).
+(Tipping and Bishop, Probabilistic principal component analysis, 1999, equation 12).
 """
 
 from __future__ import annotations

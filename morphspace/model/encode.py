@@ -13,7 +13,8 @@ from morphspace.face.faceframe import Frame, identity_affine
 from morphspace.io.clips import open_clip
 from morphspace.io.framing import MIN_SIDE_PX, FramedClip, Framing
 from morphspace.io.stimulus_sidecars import essentials_in
-from morphspace.model.model import Loadings, MorphModel
+from morphspace.model.loadings import Loadings
+from morphspace.model.model import MorphModel
 from morphspace.model.morph import Morph, MorphOffset
 from morphspace.steps import in_order
 

@@ -35,7 +35,8 @@ from morphspace.io.framing import FrameSource, same_size
 from morphspace.linear.pca import Basis, basis_from_gram, gram_matrix, mean_row
 from morphspace.linear.rows import RowFile
 from morphspace.model.keypoints import detect_faceframe, with_detected
-from morphspace.model.model import Loadings, MorphModel, inner_product, model_digest
+from morphspace.model.loadings import Loadings
+from morphspace.model.model import MorphModel, inner_product, model_digest
 from morphspace.model.morph import CHANNELS, Morph, invert_mean_shape, morph_of, resource
 from morphspace.model.reference import POOL, ReferenceChoice, SmallFrame, search, shrunk
 from morphspace.model.warp_weight import WeightTrial, best_trial, trial_weights

@@ -16,7 +16,8 @@ from morphspace.errors import UnreadableFile
 from morphspace.grid import warp
 from morphspace.io.framing import FramedClip
 from morphspace.model.encode import encoded_frames, joined
-from morphspace.model.model import Loadings, MorphModel
+from morphspace.model.loadings import Loadings
+from morphspace.model.model import MorphModel
 from morphspace.steps import Step, Steps, in_order
 from morphspace.storage import digest_of_file
 

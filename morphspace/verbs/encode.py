@@ -10,7 +10,8 @@ from morphspace.requests import Clip, FrameCrop, Model, declared
 from morphspace.settings import Help, Option
 
 if TYPE_CHECKING:
-    from morphspace.model.model import Loadings, MorphModel
+    from morphspace.model.loadings import Loadings
+    from morphspace.model.model import MorphModel
     from morphspace.outcome import Outcome
     from morphspace.steps import Steps
 

@@ -35,7 +35,7 @@ from morphspace.face.mesh import (
 )
 from morphspace.grid import warp
 from morphspace.model.landmarks import LandmarkRegression
-from morphspace.model.model import Loadings
+from morphspace.model.loadings import Loadings
 from morphspace.model.morph import Morph
 from morphspace.sets import models as set_models
 from morphspace.steps import result_of

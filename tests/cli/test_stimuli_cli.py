@@ -13,7 +13,8 @@ from morphspace.face.regions import REGIONS
 from morphspace.io.images import write_image
 from morphspace.io.tables import read_loadings_table
 from morphspace.model.encode import framed_for
-from morphspace.model.model import Loadings, load_model
+from morphspace.model.loadings import Loadings
+from morphspace.model.model import load_model
 from morphspace.sets.draw import make_stimulus
 from morphspace.sets.kept import digest_of_kept, encoded_clip
 from morphspace.steps import result_of

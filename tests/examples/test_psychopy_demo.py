@@ -15,7 +15,7 @@ import pytest
 from morphspace.errors import BadInput
 from morphspace.io.images import read_image, write_image
 from morphspace.io.video import read_frames
-from morphspace.model.model import Loadings
+from morphspace.model.loadings import Loadings
 from morphspace.steps import result_of
 from morphspace.verbs import caricature
 from morphspace.verbs.caricature import CaricatureRequest

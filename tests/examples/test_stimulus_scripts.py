@@ -16,7 +16,7 @@ from morphspace.errors import BadInput
 from morphspace.face.faceframe import FaceFrame
 from morphspace.io.tables import read_metrics_table
 from morphspace.io.video import read_frames, video_info
-from morphspace.model.model import Loadings
+from morphspace.model.loadings import Loadings
 from morphspace.model.morph import Morph
 from morphspace.sets import batch
 from morphspace.sets.folders import Stopped, fill_folder

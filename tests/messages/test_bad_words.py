@@ -13,7 +13,7 @@ from morphspace.face.faceframe import FaceFrame
 from morphspace.flow.pairs import MIN_SIDE_PX
 from morphspace.io.flow_fields import write_flows
 from morphspace.io.images import write_image
-from morphspace.model.model import Loadings
+from morphspace.model.loadings import Loadings
 from morphspace.verbs.encode import write_loadings
 
 HEIGHT, WIDTH = 48, 64  # of a.png and b.png

@@ -18,7 +18,8 @@ from morphspace.flow import Flow, methods
 from morphspace.grid import warp
 from morphspace.linear.quality import psnr_db
 from morphspace.model.file import ARRAY_KINDS
-from morphspace.model.model import Loadings, inner_product, load_model
+from morphspace.model.loadings import Loadings
+from morphspace.model.model import inner_product, load_model
 from morphspace.model.morph import Morph, MorphOffset
 from morphspace.storage import read_container, write_container
 

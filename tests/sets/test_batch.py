@@ -20,7 +20,7 @@ from click.testing import CliRunner
 from morphspace.cli.main import main
 from morphspace.errors import BadInput, MorphspaceError
 from morphspace.io.tables import read_loadings_table, read_metrics_table, write_loadings_table
-from morphspace.model.model import Loadings
+from morphspace.model.loadings import Loadings
 from morphspace.sets import batch, pool
 from morphspace.sets.draw import make_stimulus
 from morphspace.steps import result_of

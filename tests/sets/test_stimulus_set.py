@@ -16,7 +16,8 @@ from morphspace.io.images import read_image, write_image
 from morphspace.io.stimulus_sidecars import essentials_in, read_stimulus_sidecar
 from morphspace.io.tables import read_loadings_table
 from morphspace.io.video import read_frames
-from morphspace.model.model import Loadings, load_model
+from morphspace.model.loadings import Loadings
+from morphspace.model.model import load_model
 from morphspace.model.morph import Morph
 from morphspace.outcome import versions
 from morphspace.report.set_page import sheet_columns

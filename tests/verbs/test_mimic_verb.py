@@ -34,7 +34,8 @@ from morphspace.linear.pca import fit_basis
 from morphspace.linear.rows import RowArray
 from morphspace.model.encode import energy_outside, notes_on_enlarging, notes_on_framing
 from morphspace.model.keypoints import how_to_learn, required_landmarks
-from morphspace.model.model import Loadings, MorphModel, inner_product, load_model, model_digest
+from morphspace.model.loadings import Loadings
+from morphspace.model.model import MorphModel, inner_product, load_model, model_digest
 from morphspace.model.morph import Morph, MorphOffset
 from morphspace.report.mimic_page import HEADINGS, LEFT_OUT
 from morphspace.requests import field_named
