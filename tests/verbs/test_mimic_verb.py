@@ -500,9 +500,9 @@ def test_a_model_without_keypoints_says_the_command(work, model):
         ({"frames": ""}, "frames is empty; expected a text"),
         ({"components": 0}, "components is 0; expected a whole number from 1 up"),
         ({"method": "guided"}, "a.morph --auto`"),
-        ({"neutral": "a,b,c"}, "--neutral 'a,b,c'"),
+        ({"neutral": "a,b,c"}, "--neutral is 'a,b,c'"),
         ({"neutral": ""}, "neutral is empty"),
-        ({"neutral": "auto,frame_001"}, "--neutral 'auto,frame_001'"),
+        ({"neutral": "auto,frame_001"}, "--neutral is 'auto,frame_001'"),
         ({"neutral": "nowhere"}, "no training frame 'nowhere'"),
         ({"neutral": "mean,nowhere"}, "no training frame 'nowhere'"),
         ({"source": "missing"}, "missing.morph"),
@@ -530,7 +530,7 @@ def test_tiny_driving_frames_are_said_to_be_enlarged_and_tinier_ones_refused(wor
     (note,) = (n for n in run(work, frames=str(work / "w36")).warnings if "driving frames of 36x43" in n)
     assert "enlarged to 60x72" in note and "lost" not in note
     with pytest.raises(
-        BadInput, match=r"pictures of 30x36 in w30 are too small .* drawn are 60x72: .* 32 px"
+        BadInput, match=r"pictures in w30 are 30x36 px; expected at least 32 px .* drawn at 60x72"
     ):
         run(work, frames=str(work / "w30"), output=work / "new")
     assert not (work / "new").exists()
@@ -749,7 +749,7 @@ def test_the_means_are_moved_where_they_lie_apart_and_not_where_it_is_forbidden(
     assert "frame_005" in (work / "out" / "index.html").read_text()
     notes = run(work, method="paper", max_sd=LOOSE, neutral="mean").warnings
     assert not any("re-centred" in note for note in notes)
-    assert any("9.0% of the eye distance apart: what is neutral" in note for note in notes)
+    assert any("9.0% of the eye distance apart; expected at most 6.0%" in note for note in notes)
     apart[5] = 0.09
     assert any("no frame of drawn comes much nearer" in note for note in run(work).warnings)
     monkeypatch.setattr(neutral, "means_apart", lambda source, target: 0.03)
@@ -858,10 +858,12 @@ def test_a_model_of_too_few_faces_is_not_sent_to_a_command_that_cannot_help(work
     names = actor.training.frame_names[:5]
     training = Loadings(actor.training.values[:5], names, actor.model_id)
     dataclasses.replace(actor, training=training).save(work / "few.morph")
-    with pytest.raises(BadInput, match=r"few\.morph .*it holds 5 faces, too few") as refusal:
+    with pytest.raises(
+        BadInput, match=r"few\.morph .*it has 5 training faces; expected at least 8"
+    ) as refusal:
         run(work, "few", "a", method="guided")
     assert "--auto" not in str(refusal.value)
-    with pytest.raises(BadInput, match="it holds 5 faces"):
+    with pytest.raises(BadInput, match="it has 5 training faces"):
         required_landmarks(load_model(work / "few.morph"))
     (note,) = (note for note in run(work, "few", "a").warnings if "the method is transfer" in note)
     assert "few.morph --auto" not in note and "a.morph --auto" in note
@@ -874,7 +876,7 @@ def test_a_model_of_too_few_faces_is_not_sent_to_a_command_that_cannot_help(work
             result_of(verb.run(request, detect))
     assert not (work / "new").exists()
     tried = actor.with_faceframe(actor.faceframe, {"source": "auto", "lip": "philtrum", "found": 4})
-    assert how_to_learn(tried, "x").startswith("a face was found in 4 of its 12 faces")
+    assert how_to_learn(tried, "x").startswith("a face was found in 4 of its 12 training faces")
 
 
 def test_damaged_networks_are_told_from_missing_ones(work, actor, tmp_path, monkeypatch):
