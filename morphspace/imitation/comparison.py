@@ -39,7 +39,7 @@ from morphspace.imitation.shape import (
 )
 from morphspace.steps import Step, Steps
 
-# What is tested; the rest goes along: a turned imitation keeps its mean and size, so cosine ranks as correlation does.
+# Tested measures. Cosine needs no test: shifts keep mean and size, so it ranks as correlation does.
 BY_SHIFTS = "correlation", "distance_sd", "mutual_information_nats"
 SEARCHED = "correlation_at_lag", "correlation_aligned", "alignment_cost"
 SMALLER_IS_CLOSER = ("distance_sd", "alignment_cost")
@@ -157,21 +157,23 @@ def check_sequences(stimulus: LoadingTable, imitation: LoadingTable) -> None:
     for name, sequence in (("stimulus", stimulus), ("imitation", imitation)):
         if sequence.ndim != 2 or sequence.shape[1] < 1:
             raise BadInput(
-                f"the {name} has shape {sequence.shape}: rows of one loading or more were expected"
+                f"the {name} has the shape {sequence.shape}; expected (n, k) with k at least 1. Encode it again"
             )
         if len(sequence) < LEAST_FRAMES:
             raise BadInput(
-                f"the {name} has {len(sequence)} frame(s), at least {LEAST_FRAMES} are needed to compare motions: "
-                "give more frames"
+                f"the {name} has {len(sequence)} frame(s); expected at least {LEAST_FRAMES} to compare motions. "
+                "Use a longer motion"
             )
         if not np.isfinite(sequence).all():
             row, column = np.argwhere(~np.isfinite(sequence))[0]
             raise BadInput(
-                f"the {name} is {sequence[row, column]} in frame {row}, component {column + 1}: mend it"
+                f"the {name} is {sequence[row, column]} in frame {row}, component {column + 1}; expected a finite "
+                "number. Correct it"
             )
     if stimulus.shape[1] != imitation.shape[1]:
         raise BadInput(
-            f"the stimulus has {stimulus.shape[1]} components, the imitation {imitation.shape[1]}: use the same model"
+            f"the stimulus has {stimulus.shape[1]} components, the imitation {imitation.shape[1]}; expected equal "
+            "numbers. Use one model"
         )
 
 

@@ -22,5 +22,7 @@ def masked_basis(basis: Basis, share: AnyArray) -> Posterior:
     """
     weight = np.asarray(basis.weight * share, np.float32)
     if not weight.any():
-        raise BadInput("the mask leaves nothing of the model's face: make it white where the face is")
+        raise BadInput(
+            "the mask leaves nothing of the model's face; expected white where the face is. Draw it again"
+        )
     return Posterior(basis, weight, ONE_IN)

@@ -37,11 +37,15 @@ def components_named(words: str, rank: int) -> tuple[int, ...]:
     for part in words.split(","):
         found = SPAN.fullmatch(part.strip())
         if found is None:
-            raise BadInput(f"components {words!r} cannot be read: write numbers and spans, such as 1-5,8")
+            raise BadInput(
+                f"the components are {words!r}; expected numbers and spans. Write, for example, 1-5,8"
+            )
         first = int(found.group(1))
         last = int(found.group(2) or first)
         if not 1 <= first <= last <= rank:
-            raise BadInput(f"components {part.strip()!r} do not fit a model with components 1 to {rank}")
+            raise BadInput(
+                f"the components are {part.strip()!r}; expected 1 to {rank} of the model. Change them"
+            )
         places.update(range(first - 1, last))
     return tuple(sorted(places))
 
@@ -58,7 +62,7 @@ def caricatured(
     [[1.0, -3.0]]
     """
     if not np.isfinite(gain):
-        raise BadInput(f"a gain of {gain} cannot be used: give a number, 1 for the faces as they are")
+        raise BadInput(f"the gain is {gain}; expected a finite number. Enter 1 for veridical faces")
     factors: AnyArray = np.ones(loadings_sd.shape[1])
     factors[slice(None) if components is None else list(components)] = gain
     return np.asarray(loadings_sd * factors, np.float64)
@@ -136,7 +140,7 @@ def caricature_region(region: str | None, model: MorphModel) -> tuple[Mask | Non
         return None, {}
     path = Path(region)
     if path.suffix.lower() not in PICTURE_SUFFIXES:
-        region_of(model, region)  # refuses names that are none, and models that do not know where
+        region_of(model, region)  # raises for unknown regions and models without keypoints
         return None, {}
     mask = read_mask(path)
     if mask.shape != model.mask.shape:

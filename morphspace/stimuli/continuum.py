@@ -53,12 +53,11 @@ class Line:
     def __post_init__(self) -> None:
         if self.first.shape != self.last.shape:
             raise BadInput(
-                f"the ends have {len(self.first)} and {len(self.last)} loadings: encode both with the same model"
+                f"the ends have {len(self.first)} and {len(self.last)} loadings; expected equal numbers. Encode "
+                "both with one model"
             )
         if np.array_equal(self.first, self.last):
-            raise BadInput(
-                "the two ends are the same face, and nothing lies between them: give two that differ"
-            )
+            raise BadInput("the two ends are the same face; expected two faces. Choose another")
 
     def loadings(self, positions: AnyArray) -> LoadingTable:
         """Return the loadings (n, k) at positions (n,); those of the end faces are bit-equal."""
@@ -105,7 +104,7 @@ def even_positions(steps: int) -> AnyArray:
     [0.0, 0.25, 0.5, 0.75, 1.0]
     """
     if not 1 <= steps <= MOST_STEPS:
-        raise BadInput(f"{steps} steps were asked for: ask for 1 to {MOST_STEPS}")
+        raise BadInput(f"the number of steps is {steps}; expected 1 to {MOST_STEPS}. Change it")
     return np.arange(steps + 1) / steps
 
 
@@ -119,7 +118,9 @@ def given_positions(positions: Sequence[float]) -> AnyArray:
     """
     found = np.asarray(positions, np.float64)
     if found.ndim != 1 or len(found) < 2:
-        raise BadInput(f"{found.size} positions make no steps: give at least 2, such as 0,0.5,1")
+        raise BadInput(
+            f"the number of positions is {found.size}; expected at least 2. Enter, for example, 0,0.5,1"
+        )
     if not np.isfinite(found).all() or found.min() < -FURTHEST or found.max() > 1 + FURTHEST:
         raise BadInput(
             f"the positions {', '.join(f'{one:g}' for one in found)} are not all numbers from {-FURTHEST:g} to "

@@ -61,7 +61,7 @@ class Placing:
                 f"{len(self.names)} original frames: give one of each a frame"
             )
         if not np.isfinite(maps).all():
-            raise BadInput("a registration is not finite: align the frames again")
+            raise BadInput("a registration is not finite; expected finite numbers. Align the frames again")
         object.__setattr__(self, "registrations", maps)
 
     def document(self) -> dict[str, Any]:
@@ -130,7 +130,7 @@ class Drawing:
                 object.__setattr__(self, entry, self._checked(entry))
         if (self.region is None) != (self.outside_sd is None):
             raise BadInput(
-                f"{self.name}: a region and the face outside it belong together: give both or neither"
+                f"{self.name} has only one of a region and the face outside it; expected both or neither. Add the other"
             )
         self._check_kind()
         if self.placing is not None and len(self.placing.names) != len(self.loadings_sd):
@@ -140,7 +140,9 @@ class Drawing:
             )
         for key, value in self.told.items():
             if not isinstance(value, SCALARS) or (isinstance(value, float) and not np.isfinite(value)):
-                raise BadInput(f"{self.name}: {key} is {value!r}, a text or a finite number was expected")
+                raise BadInput(
+                    f"{self.name}: {key} is {value!r}; expected a text or a finite number. Correct it"
+                )
 
     @property
     def file_name(self) -> str:
@@ -152,7 +154,9 @@ class Drawing:
 
         kinds = PICTURE_SUFFIXES if self.frame_rate_hz is None else VIDEO_SUFFIXES
         if self.suffix not in kinds:
-            raise BadInput(f"{self.name} cannot be written as {self.suffix!r}: use one of {', '.join(kinds)}")
+            raise BadInput(
+                f"{self.name} has the suffix {self.suffix!r}; expected one of {', '.join(kinds)}. Change it"
+            )
         if self.frame_rate_hz is None and len(self.loadings_sd) != 1:
             raise BadInput(
                 f"{self.name} has {len(self.loadings_sd)} frames and no frame rate: a picture has one frame, a video "
@@ -160,7 +164,7 @@ class Drawing:
             )
         if self.frame_rate_hz is not None and not 0 < self.frame_rate_hz <= 1000:
             raise BadInput(
-                f"{self.name} has a frame rate of {self.frame_rate_hz} Hz: give one above 0, at most 1000"
+                f"{self.name} has a frame rate of {self.frame_rate_hz} Hz; expected above 0, at most 1000. Change it"
             )
 
     def _checked(self, entry: str) -> LoadingTable:
@@ -215,7 +219,7 @@ def drawing_of(document: Mapping[str, Any], region_mask: Mask | None = None) -> 
             region_mask=region_mask,
         )
     except (KeyError, TypeError, ValueError) as error:
-        raise BadInput(f"this is not a drawing: {error}; copy the sidecar again") from error
+        raise BadInput(f"the sidecar holds no drawing: {error}. Copy it again") from error
 
 
 def _placing_of(document: Mapping[str, Any]) -> Placing:

@@ -61,11 +61,11 @@ def image_statistics(frames: Iterable[AnyArray]) -> dict[str, dict[str, float | 
     for codes in frames:
         if codes.dtype != np.uint8 or codes.ndim != 3 or codes.shape[2] != 3 or codes.size == 0:
             raise BadInput(
-                f"image statistics need 8-bit codes (h, w, 3), these are {codes.dtype} {codes.shape}"
+                f"the frame is {codes.dtype} {codes.shape}; expected 8-bit codes (h, w, 3). Convert it"
             )
         kept.append(np.array([_figures(_values(codes, space)) for space in SPACES]))
     if not kept:
-        raise BadInput("there are no frames to measure")
+        raise BadInput("there are no frames; expected at least one. Select frames")
     table = np.stack(kept)
     known = np.isfinite(table)
     means = np.where(known, table, 0).sum(axis=0) / np.maximum(known.sum(axis=0), 1)

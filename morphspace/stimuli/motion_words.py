@@ -39,16 +39,16 @@ class Word:
 
 
 WORDS: Mapping[str, Word] = {
-    "smooth": Word("number", "HZ", "take away what is faster, gain 0.71 at so many Hz; without delay"),
-    "speed": Word("number", "TIMES", "play so many times as fast, on the same path"),
-    "rate": Word("number", "HZ", "show at another frame rate, at the same speed"),
-    "part": Word("span", "S", "keep what is between two times, the second left out"),
-    "timing": Word("nothing", "", "take on the timing of the guide, by dynamic time warping"),
+    "smooth": Word("number", "HZ", "low-pass filter with gain 0.71 at HZ; without delay"),
+    "speed": Word("number", "TIMES", "play TIMES as fast, on the same path"),
+    "rate": Word("number", "HZ", "resample to another frame rate, at the same speed"),
+    "part": Word("span", "S", "keep the frames between two times, without the second"),
+    "timing": Word("nothing", "", "align to the timing of the guide by dynamic time warping"),
     "reverse": Word("nothing", "", "play backwards"),
     "loop": Word(
         "number or nothing",
         "S",
-        "lead softly from the end back to the start, in so many s, or with no step longer than the median step",
+        "return smoothly from the end to the start in S seconds, or with steps no longer than the median step",
     ),
     "there-and-back": Word("nothing", "", "play forwards, then backwards, as a loop"),
     "splice": Word("number or nothing", "S", "play all tables one after the other, joined as by loop"),
@@ -56,13 +56,13 @@ WORDS: Mapping[str, Word] = {
     "caricature": Word(
         "number",
         "GAIN",
-        "exaggerate how each table differs from the mean trajectory of all, or one table from the guide; below 0 an "
+        "exaggerate the difference of each table from the mean trajectory, or of one table from the guide; below 0 an "
         "anti-caricature",
     ),
     "scramble-frames": Word("nothing", "", "put the frames in random order"),
-    "scramble-blocks": Word("number", "S", "put blocks of so many s in random order"),
+    "scramble-blocks": Word("number", "S", "put blocks of S seconds in random order"),
     "scramble-phase": Word(
-        "nothing", "", "random phases; amplitudes, and how components go together, stay as they are"
+        "nothing", "", "randomise phases; keep amplitudes and the covariance of components"
     ),
 }
 """In the order of the help."""

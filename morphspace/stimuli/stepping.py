@@ -93,7 +93,7 @@ def difference(one: Image, other: Image, mask: Mask, kind: str) -> float:
         return ciede2000(one, other, mask)
     if kind == "ssim":
         return max(0.0, 1.0 - quality.ssim(one, other, mask))
-    raise BadInput(f"pictures cannot be compared by {kind!r}: choose ciede2000 or ssim")
+    raise BadInput(f"the measure is {kind!r}; expected ciede2000 or ssim. Choose one")
 
 
 def change(path: Path, start: float, stop: float, mask: Mask) -> Change:
@@ -173,7 +173,7 @@ def equalised(
         found = Equalised(positions, np.asarray(sizes_of(positions), np.float64))
         if not found.sizes.any():
             raise BadInput(
-                "nothing that the files could show changes between the two ends: take fewer steps, or ends that differ"
+                "the images of all steps are equal in 8-bit codes. Use fewer steps, or ends that differ more"
             )
         waited += 1
         if best is None or found.unevenness < best.unevenness:
@@ -184,5 +184,5 @@ def equalised(
         moved = np.interp(np.linspace(0, run[-1], len(run)), run, positions)
         positions = np.concatenate([positions[:1], moved[1:-1], positions[-1:]])
     if best is None:
-        raise BadInput("there are no rounds to space the steps in")
+        raise BadInput("the number of rounds is 0; expected at least 1. Raise ROUNDS")
     return best

@@ -458,7 +458,7 @@ def test_a_component_that_the_part_does_not_show_stays_at_the_mean():
         (np.zeros((5, 3)), np.zeros((2, 3)), "imitation has 2 frame"),
         (np.zeros((5, 3)), np.zeros((5, 2)), "3 components, the imitation 2"),
         (np.zeros((5, 3)), np.full((5, 3), np.nan), "nan in frame 0, component 1"),
-        (np.zeros((5, 0)), np.zeros((5, 0)), "rows of one loading or more"),
+        (np.zeros((5, 0)), np.zeros((5, 0)), "k at least 1"),
     ],
 )
 def test_what_cannot_be_compared_is_named(stimulus, imitation, words):

@@ -155,7 +155,7 @@ def test_names_that_cannot_be_files_everywhere_are_refused(name):
         ({"loadings_sd": np.zeros((2, 2))}, "2 frames and no frame rate"),
         ({"loadings_sd": np.zeros((0, 2))}, "one row a frame"),
         ({"colour_sd": np.zeros((1, 3))}, r"colour_sd has the shape \(1, 3\)"),
-        ({"region": "eyes"}, "belong together"),
+        ({"region": "eyes"}, "expected both or neither"),
         ({"suffix": ".gif"}, "'.gif'"),
         ({"frame_rate_hz": 25.0}, "'.png'"),
         ({"frame_rate_hz": 0.0, "suffix": ".mp4"}, "0.0 Hz"),
