@@ -32,7 +32,7 @@ PLAIN = Capture()
 
 @dataclass(frozen=True, eq=False)
 class ActorFrame:
-    """Hold one frame of an actor and the truth about it. Ours.
+    """One frame of an actor, with its truth. Ours.
 
     `displacement` (h, w, 2) px on the neutral picture's grid, head motion included: the point p of the
     neutral picture is found in the frame at p + u(p). `visibility` (h, w) is 1 where that point is seen in
@@ -55,7 +55,7 @@ class ActorFrame:
 
 @dataclass(frozen=True, eq=False)
 class Actor:
-    """Hold a painted or photographed face, ready to be moved. Ours.
+    """A painted or photographed face that can be moved. Ours.
 
     Fine layers have `FINE` texture pixels per picture pixel; `margin` px are painted around the picture on
     each side, so that head motion has something to bring in. `above` and `below` (fine) are signed distances
@@ -76,7 +76,7 @@ class Actor:
     identity: Identity | None
 
     def draw(self, expression: Expression = NEUTRAL, capture: Capture = PLAIN) -> ActorFrame:
-        """Photograph the actor with an expression; the truth is relative to the face at rest. Ours."""
+        """Photograph the actor with an expression; the truth is relative to the neutral face. Ours."""
         upper, lower = self.sheets(expression)
         back = inverse_of(upper)
         seen = _Seen(self, back, inverse_like(lower, upper, back))
@@ -98,7 +98,7 @@ class Actor:
         )
 
     def sheets(self, expression: Expression) -> tuple[Displacement, Displacement]:
-        """Give the displacement (px) of the skin above and below the slits, on the whole canvas. Ours."""
+        """Return the displacement (px) of the skin above and below the slits, on the whole canvas. Ours."""
         return combine(self.basis, self.basis_boxes, basis_amounts(expression))
 
     @cached_property
@@ -142,7 +142,7 @@ class Actor:
         return np.asarray(cv2.resize(frame, (width, height), interpolation=cv2.INTER_AREA))
 
     def _behind(self, expression: Expression, x: AnyArray, y: AnyArray, above: AnyArray) -> AnyArray:
-        """Give what is behind the skin at canvas points, in the shadow of the upper lid or lip."""
+        """Draw what lies behind the skin at canvas points, in the shadow of the upper lid or lip."""
         shifts = layer_shifts(expression, self.geometry.unit_px)
         eyes = y.mean() < self._seam_px()
         colour = look_up(self.interior.sclera if eyes else self.interior.cavity, x, y)
@@ -192,7 +192,7 @@ class Actor:
     def _truth_inside(
         self, expression: Expression, x: AnyArray, y: AnyArray, eyes: bool
     ) -> tuple[AnyArray, AnyArray]:
-        """Give how far points seen through a slit at rest move, and which of them get covered."""
+        """Compute how far points seen through a slit at rest move, and which of them get covered."""
         shifts = layer_shifts(expression, self.geometry.unit_px)
         names = BACK_TO_FRONT[:2] if eyes else BACK_TO_FRONT[2:]
         shift = np.zeros((x.size, 2), np.float32)
@@ -228,7 +228,7 @@ class Actor:
 
 
 class _Seen:
-    """Know which place on the neutral canvas is seen at a place of the moved canvas."""
+    """The point of the neutral canvas that is visible at each point of the moved canvas."""
 
     def __init__(self, actor: Actor, upper: Displacement, lower: Displacement) -> None:
         self.actor = actor
@@ -236,25 +236,25 @@ class _Seen:
         self.lower = padded(lower)
 
     def upper_at(self, x: AnyArray, y: AnyArray) -> tuple[AnyArray, AnyArray, AnyArray]:
-        """Give the place on the upper sheet seen at canvas points, and its signed distance to the slit."""
+        """Return the place on the upper sheet seen at canvas points, and its signed distance to the slit."""
         return _seen_at(self.upper, self.actor.above, x, y)
 
     def lower_at(self, x: AnyArray, y: AnyArray) -> tuple[AnyArray, AnyArray, AnyArray]:
-        """Give the same for the lower sheet."""
+        """Return the same for the lower sheet."""
         return _seen_at(self.lower, self.actor.below, x, y)
 
     def upper_skin(self, skin: AnyArray, x: AnyArray, y: AnyArray) -> tuple[AnyArray, AnyArray]:
-        """Give the colour of the upper sheet at canvas points, and the signed distance to the slit."""
+        """Return the colour of the upper sheet at canvas points, and the signed distance to the slit."""
         px, py, distance = self.upper_at(x, y)
         return look_up_sharp(skin, px, py), distance
 
     def lower_skin(self, skin: AnyArray, x: AnyArray, y: AnyArray) -> tuple[AnyArray, AnyArray]:
-        """Give the same for the lower sheet."""
+        """Return the same for the lower sheet."""
         px, py, distance = self.lower_at(x, y)
         return look_up_sharp(skin, px, py), distance
 
     def boxes(self, motion: Affine) -> list[tuple[slice, slice]]:
-        """Give the parts of the fine frame in which a slit's lower side can be seen."""
+        """Return the parts of the fine frame in which a slit's lower side can be seen."""
         face, (width, height) = self.actor.geometry, self.actor.size
         out = []
         seam = float(np.mean(SEAM))
@@ -304,7 +304,7 @@ def coverage(signed_px: AnyArray) -> AnyArray:
 
 
 def slit_distances(face: FaceGeometry, width: int, height: int) -> tuple[AnyArray, AnyArray]:
-    """Give the signed distances (px, fine canvas) above the upper and below the lower margins of the slits.
+    """Return the signed distances (px, fine canvas) above the upper and below the lower margins of the slits.
 
     Both are `FAR` where a sheet meets no slit. Just beyond a slit's corner, where a sheet's pixels still
     neighbour its hidden part, either sheet ends on its own side, and they overlap by `CORNER_PX`. Between the
@@ -328,7 +328,7 @@ def slit_distances(face: FaceGeometry, width: int, height: int) -> tuple[AnyArra
 
 
 def head_motion(capture: Capture, pivot: Points) -> Affine:
-    """Give the similarity (2, 3) px of a capture: turn and grow about the pivot, then move."""
+    """Return the similarity (2, 3) px of a capture: turn and grow about the pivot, then move."""
     angle = np.deg2rad(capture.roll_deg)
     cos, sin = capture.zoom * np.cos(angle), capture.zoom * np.sin(angle)
     linear = np.array([[cos, -sin], [sin, cos]])

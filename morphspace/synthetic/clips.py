@@ -29,7 +29,7 @@ PORTRAIT_NAME = "portrait"
 
 @dataclass(frozen=True, eq=False)
 class ClipPiece:
-    """Report one written frame of one actor; `truth` is the truth file, after an actor's last frame. Ours."""
+    """One frame that was written; `truth` is the truth file, after an actor's last frame. Ours."""
 
     actor: str
     index: int
@@ -40,7 +40,7 @@ class ClipPiece:
 
 @dataclass(frozen=True, eq=False)
 class Truth:
-    """Hold what is known about a clip; arrays are read-only memory maps. Ours.
+    """The truth about a clip; arrays are read-only memory maps. Ours.
 
     `displacement` (n, h, w, 2) px from the first frame, `visibility` (n, h, w) uint8, `keypoints` (n, m, 2)
     px, `labels` (h, w) uint8 into `document["labels"]`, and the JSON document with names and parameters.

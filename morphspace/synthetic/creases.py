@@ -37,7 +37,7 @@ CREASE_NAMES = (
 
 
 def _along(points: Points, x: AnyArray, y: AnyArray, width: float, bulge: tuple[float, float]) -> AnyArray:
-    """Give a valley along a polyline, tapering at both ends, with a bright bulge shifted to one side."""
+    """Return a valley along a polyline, tapering at both ends, with a bright bulge shifted to one side."""
     dark = np.zeros(x.shape, np.float32)
     light = np.zeros(x.shape, np.float32)
     near = (
@@ -62,7 +62,7 @@ def _along(points: Points, x: AnyArray, y: AnyArray, width: float, bulge: tuple[
 
 
 def crease_maps(face: FaceGeometry, x: AnyArray, y: AnyArray) -> AnyArray:
-    """Give (k, h, w) float32: log brightness change per unit of each crease of `CREASE_NAMES`, on a grid."""
+    """Return (k, h, w) float32: log brightness change per unit of each crease of `CREASE_NAMES`, on a grid."""
     maps = {name: np.zeros(x.shape, np.float32) for name in CREASE_NAMES}
     mouth, base, wide = face.mouth, face.nose_base, face.nose_width
     middle = face.nose_tip[0]
@@ -158,7 +158,7 @@ def crease_maps(face: FaceGeometry, x: AnyArray, y: AnyArray) -> AnyArray:
 
 
 def crease_amounts(expression: Expression) -> Mapping[str, float]:
-    """Give how deep each crease is for an expression."""
+    """Compute how deep each crease is for an expression."""
     e = expression
     raised = max(e.brow_inner_raise, e.brow_outer_raise) * 0.6 + 0.4 * min(
         e.brow_inner_raise, e.brow_outer_raise
@@ -186,14 +186,14 @@ def crease_amounts(expression: Expression) -> Mapping[str, float]:
 
 
 def crease_boxes(maps: AnyArray) -> tuple[Box, ...]:
-    """Give the rows and columns in which each crease can be seen."""
+    """Return the rows and columns in which each crease can be seen."""
     return tuple(box_of(np.abs(one) > LEAST_SHADE, 0) for one in maps)
 
 
 def creased(
     skin: AnyArray, maps: AnyArray, boxes: tuple[Box, ...], expression: Expression, gain: float
 ) -> AnyArray:
-    """Give the sRGB-coded skin (h, w, 3) with the creases of an expression, `gain` times as deep."""
+    """Return the sRGB-coded skin (h, w, 3) with the creases of an expression, `gain` times as deep."""
     amounts = crease_amounts(expression)
     total = np.zeros(skin.shape[:2], np.float32)
     for name, one, box in zip(CREASE_NAMES, maps, boxes, strict=True):

@@ -29,19 +29,19 @@ Box = tuple[slice, slice] | None
 
 
 def smooth(t: ArrayLike) -> AnyArray:
-    """Give the cubic step: 0 below 0, 1 above 1, level at both ends."""
+    """Return the cubic step: 0 below 0, 1 above 1, level at both ends."""
     share = np.clip(np.asarray(t), 0.0, 1.0)
     return np.asarray(share * share * (3 - 2 * share))
 
 
 def bump(x: ArrayLike, y: ArrayLike, at: tuple[ArrayLike, ArrayLike], wide: float, high: float) -> AnyArray:
-    """Give a Gaussian bump with the two standard deviations, 1 at its middle."""
+    """Return a Gaussian bump with the two standard deviations, 1 at its middle."""
     across, down = np.subtract(x, at[0]) / wide, np.subtract(y, at[1]) / high
     return np.asarray(np.exp(-0.5 * (across**2 + down**2)))
 
 
 class Sheet:
-    """Collect the two displacement sheets of one action."""
+    """The two displacement sheets of one action."""
 
     def __init__(self, shape: tuple[int, ...]) -> None:
         self.upper = np.zeros((*shape, 2), np.float32)
@@ -55,17 +55,17 @@ class Sheet:
 
 
 def _corner_profile(t: AnyArray) -> AnyArray:
-    """Give a profile that is 0 at the middle of the mouth, 1 at its corners and fades beyond."""
+    """Return a profile that is 0 at the middle of the mouth, 1 at its corners and fades beyond."""
     return np.asarray(t * t * np.exp(1 - t * t))
 
 
 def _sideways_profile(t: AnyArray) -> AnyArray:
-    """Give an odd profile that is 1 at the right corner, -1 at the left one and fades beyond."""
+    """Return an odd profile that is 1 at the right corner, -1 at the left one and fades beyond."""
     return np.asarray(t * np.exp((1 - t * t) / 2))
 
 
 def _brow_gap(eye: Aperture, brow: Points) -> float:
-    """Give the height between the upper lid and the middle of the brow, which lid and brow share."""
+    """Return the height between the upper lid and the middle of the brow, which lid and brow share."""
     middle = brow[len(brow) // 2]
     return float(eye.upper(np.float64(eye.centre[0])) - middle[1])
 
@@ -209,7 +209,7 @@ BASIS_NAMES = (
 
 
 def basis_fields(face: FaceGeometry, width: int, height: int) -> AnyArray:
-    """Give each field at amount 1, on each side of the slits: (2, k, height, width, 2) float32 px."""
+    """Return each field at amount 1, on each side of the slits: (2, k, height, width, 2) float32 px."""
     x, y = face.grid(width, height)
     out = {name: Sheet(x.shape) for name in BASIS_NAMES}
     _eye_actions(face, x, y, out)
@@ -247,7 +247,7 @@ def basis_amounts(expression: Expression) -> dict[str, float]:
 
 
 def basis_boxes(basis: AnyArray) -> tuple[Box, ...]:
-    """Give the rows and columns in which each field of a basis is not zero."""
+    """Return the rows and columns in which each field of a basis is not zero."""
     return tuple(box_of(np.any(basis[:, k] != 0, axis=(0, 3)), 0) for k in range(basis.shape[1]))
 
 

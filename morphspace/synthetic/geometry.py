@@ -18,7 +18,7 @@ from morphspace.synthetic.parameters import Identity
 
 @dataclass(frozen=True, eq=False)
 class Aperture:
-    """Describe an opening in the skin between two corners: the lids of an eye, or the lips.
+    """An opening in the skin between two corners: the lids of an eye, or the lips.
 
     The upper margin is the chord between the corners minus `up` times an arch, the lower margin the chord
     plus `low` times an arch; `bow` bends both. A skew moves the top of an arch towards the picture's right.
@@ -44,31 +44,31 @@ class Aperture:
         return (self.right[0] - self.left[0]) / 2
 
     def along(self, x: ArrayLike) -> AnyArray:
-        """Give the position along the chord: -1 at the left corner, 1 at the right one."""
+        """Return the position along the chord: -1 at the left corner, 1 at the right one."""
         return (np.asarray(x) - self.centre[0]) / self.half_width
 
     def arch(self, x: ArrayLike, skew: float = 0.0) -> AnyArray:
-        """Give the arch: 0 at and beyond the corners, 1 near the middle."""
+        """Return the arch: 0 at and beyond the corners, 1 near the middle."""
         t = np.clip(self.along(x), -1.0, 1.0)
         return np.asarray((1 - np.abs(t) ** 2.2) * (1 + skew * t))
 
     def line(self, x: ArrayLike) -> AnyArray:
-        """Give the height of the chord with its bow; it goes on beyond the corners with the chord's slope."""
+        """Return the height of the chord with its bow; it goes on beyond the corners with the chord's slope."""
         slope = (self.right[1] - self.left[1]) / (2 * self.half_width)
         t = self.along(x)
         bend = np.where(np.abs(t) < 1, 1 - t**2, 0.0)
         return np.asarray(self.centre[1] + slope * (np.asarray(x) - self.centre[0]) + self.bow * bend)
 
     def upper(self, x: ArrayLike) -> AnyArray:
-        """Give the height of the upper margin."""
+        """Return the height of the upper margin."""
         return np.asarray(self.line(x) - self.up * self.arch(x, self.skew_up))
 
     def lower(self, x: ArrayLike) -> AnyArray:
-        """Give the height of the lower margin."""
+        """Return the height of the lower margin."""
         return np.asarray(self.line(x) + self.low * self.arch(x, self.skew_low))
 
     def point(self, t: float, margin: str) -> tuple[float, float]:
-        """Give the point at position `t` of the `upper` or `lower` margin."""
+        """Return the point at position `t` of the `upper` or `lower` margin."""
         x = self.centre[0] + t * self.half_width
         height = self.upper if margin == "upper" else self.lower
         return (x, float(height(np.float64(x))))
@@ -76,7 +76,7 @@ class Aperture:
 
 @dataclass(frozen=True, eq=False)
 class FaceGeometry:
-    """Hold a face's landmarks in face units, and its place on the canvas (px). Ours."""
+    """The landmarks of a face in face units, and its place on the canvas (px). Ours."""
 
     unit_px: float
     origin_px: tuple[float, float]  # of the point between the eyes
@@ -98,7 +98,7 @@ class FaceGeometry:
     left_iris: tuple[float, float]
 
     def grid(self, width: int, height: int, scale: int = 1) -> tuple[AnyArray, AnyArray]:
-        """Give x and y in face units at the pixels of a canvas (`height`, `width`) refined `scale` times."""
+        """Return x and y in face units at the pixels of a canvas (`height`, `width`) refined `scale` times."""
         x = (np.arange(width * scale) + 0.5) / scale - 0.5
         y = (np.arange(height * scale) + 0.5) / scale - 0.5
         grid = np.meshgrid((x - self.origin_px[0]) / self.unit_px, (y - self.origin_px[1]) / self.unit_px)
@@ -109,7 +109,7 @@ class FaceGeometry:
         return np.asarray(np.asarray(points, np.float64) * self.unit_px + np.asarray(self.origin_px))
 
     def keypoints(self) -> dict[str, tuple[tuple[float, float], str]]:
-        """Give each keypoint of the neutral face: its place in face units and the layer it is on.
+        """Return each keypoint of the neutral face: its place in face units and the layer it is on.
 
         The layer is `upper` (skin above a cut), `lower` (skin below it), `right_iris`, `left_iris`.
         """
@@ -155,19 +155,19 @@ class FaceGeometry:
         return (self.nose_tip[0], (self.nose_base + self.lip_edge(0.0, "upper")[1]) / 2)
 
     def lip_edge(self, t: float, side: str) -> tuple[float, float]:
-        """Give the point at position `t` of the vermilion's outer edge (`upper` or `lower`)."""
+        """Return the point at position `t` of the vermilion's outer edge (`upper` or `lower`)."""
         x = np.float64(self.mouth.centre[0] + t * self.mouth.half_width)
         edge = self.lip_upper_edge(x) if side == "upper" else self.lip_lower_edge(x)
         return (float(x), float(edge))
 
     def lip_upper_edge(self, x: ArrayLike) -> AnyArray:
-        """Give the height of the upper lip's outer edge, with its bow."""
+        """Return the height of the upper lip's outer edge, with its bow."""
         t = np.clip(self.mouth.along(x), -1.0, 1.0)
         bow = 0.82 + 0.26 * np.exp(-(((np.abs(t) - 0.24) / 0.16) ** 2)) - 0.05 * np.exp(-((t / 0.1) ** 2))
         return np.asarray(self.mouth.upper(x) - self.lip_upper * bow * (1 - np.abs(t) ** 1.7))
 
     def lip_lower_edge(self, x: ArrayLike) -> AnyArray:
-        """Give the height of the lower lip's outer edge."""
+        """Return the height of the lower lip's outer edge."""
         t = np.clip(self.mouth.along(x), -1.0, 1.0)
         return np.asarray(self.mouth.lower(x) + self.lip_lower * (1 - np.abs(t) ** 2.3))
 

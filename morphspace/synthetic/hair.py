@@ -17,7 +17,7 @@ BROW_SCALE = 4  # the hairs are drawn this much finer and reduced
 
 
 class Hair:
-    """Lay out one head of hair: where it covers, how it lies, and its colour."""
+    """One head of hair: where it covers, how it lies, and its colour."""
 
     front: AnyArray
     behind: AnyArray
@@ -78,7 +78,7 @@ class Hair:
         self._lie = lie
 
     def behind_colour(self, rng: np.random.Generator) -> AnyArray:
-        """Give the colour of the hair behind the neck, in shadow."""
+        """Return the colour of the hair behind the neck, in shadow."""
         return np.asarray(self._base * np.clip(0.34 + 0.12 * self._lie, 0.08, 1)[..., None], np.float32)
 
 
@@ -109,7 +109,7 @@ def _outer_shape(wide: float, rise: float, side: float, fall: float) -> list[tup
 
 
 def _hairline(identity: Identity, x: AnyArray, part: float, style: str) -> AnyArray:
-    """Give the height below which there is no hair, at each x."""
+    """Return the height below which there is no hair, at each x."""
     wide = identity.face_width
     across = np.abs(x) / wide
     temples = 0.10 * np.exp(-(((across - 0.52) / 0.16) ** 2))

@@ -27,7 +27,7 @@ BACK_TO_FRONT = ("right_iris", "left_iris", "tongue", "lower_teeth", "upper_teet
 
 @dataclass(frozen=True, eq=False)
 class Interior:
-    """Hold the layers behind the skin, (h, w, 3) or (h, w, 4) float32 sRGB-coded on the fine canvas. Ours."""
+    """The layers behind the skin, (h, w, 3) or (h, w, 4) float32 sRGB-coded on the fine canvas. Ours."""
 
     sclera: AnyArray
     right_iris: AnyArray
@@ -40,12 +40,12 @@ class Interior:
     lip_shadow: float = 0.30
 
     def layer(self, name: str) -> AnyArray:
-        """Give a layer by name."""
+        """Return a layer by name."""
         return np.asarray(getattr(self, name))
 
 
 def layer_shifts(expression: Expression, unit_px: float) -> Mapping[str, tuple[float, float]]:
-    """Give how far each moving layer is shifted by an expression, (right, down) px."""
+    """Compute how far each moving layer is shifted by an expression, (right, down) px."""
     gaze = (GAZE_X * unit_px * expression.gaze_x, GAZE_Y * unit_px * expression.gaze_y)
     drop = JAW_DROP * unit_px * expression.jaw_open + 0.02 * unit_px * expression.lower_lip_drop
     side = 0.10 * unit_px * expression.jaw_sideways

@@ -1,4 +1,4 @@
-"""Turn a skin sheet inside out: where on the neutral canvas is the skin now seen at a pixel.
+"""Invert a skin sheet: find the point of the neutral canvas that is visible at a pixel.
 
 The sheets stretch four-fold where lids close and the jaw opens, which plain fixed-point iteration does not
 survive. The field is therefore blown up from zero in a few steps, following the solution with Newton's
@@ -17,7 +17,7 @@ LEAST_STRETCH = 0.12  # the area factor below which a Newton step is held back: 
 
 
 def grid_px(width: int, height: int) -> tuple[AnyArray, AnyArray]:
-    """Give the x and the y of every pixel, (height, width) float32."""
+    """Return the x and the y of every pixel, (height, width) float32."""
     x, y = np.meshgrid(np.arange(width, dtype=np.float32), np.arange(height, dtype=np.float32))
     return x, y
 
@@ -39,7 +39,7 @@ def padded(field: Displacement) -> AnyArray:
 
 
 def inverse_of(field: Displacement) -> Displacement:
-    """Give v with v(q) = -u(q + v(q)): the skin seen at q comes from q + v(q). (h, w, 2) float32 px.
+    """Return v with v(q) = -u(q + v(q)): the skin seen at q comes from q + v(q). (h, w, 2) float32 px.
 
     Zero gives exactly zero.
     """
@@ -47,7 +47,7 @@ def inverse_of(field: Displacement) -> Displacement:
 
 
 def inverse_like(field: Displacement, other: Displacement, inverse: Displacement) -> Displacement:
-    """Give the inverse of a field that differs from `other` only in part; elsewhere its `inverse` holds."""
+    """Return the inverse of a field that differs from `other` only in part; elsewhere its `inverse` holds."""
     v = inverse.copy()
     reach = int(np.ceil(np.abs(field).max())) + 2
     box = box_of(np.any(field != other, axis=2), reach)
@@ -57,7 +57,7 @@ def inverse_like(field: Displacement, other: Displacement, inverse: Displacement
 
 
 def box_of(marked: AnyArray, reach: int) -> tuple[slice, slice] | None:
-    """Give the rows and columns that hold every marked pixel, and `reach` px more; None for none."""
+    """Return the rows and columns that hold every marked pixel, and `reach` px more; None for none."""
     rows, columns = np.flatnonzero(marked.any(axis=1)), np.flatnonzero(marked.any(axis=0))
     if rows.size == 0:
         return None

@@ -77,7 +77,7 @@ def _rolled_off(light: AnyArray) -> AnyArray:
 
 
 def _skin_albedo(identity: Identity, x: AnyArray, y: AnyArray, rng: np.random.Generator) -> AnyArray:
-    """Give the colour of plain skin, linear: blotches of blood and pigment, pores, freckles."""
+    """Return the colour of plain skin, linear: blotches of blood and pigment, pores, freckles."""
     shape = x.shape
     base = np.broadcast_to(linear_of(np.asarray(identity.skin)), (*shape, 3)).astype(np.float32)
     pale = float(np.mean(identity.skin))
@@ -167,7 +167,7 @@ def _beard_shadow(
 
 
 def _lip_cover(face: FaceGeometry, x: AnyArray, y: AnyArray, unit: float) -> AnyArray:
-    """Give how much a pixel is lip, soft at the outer edge; it runs on under the opening."""
+    """Compute how much a pixel is lip, soft at the outer edge; it runs on under the opening."""
     soft = 0.016
     above = smooth((y - face.lip_upper_edge(x)) / soft * 0.5 + 0.5)
     below = smooth((face.lip_lower_edge(x) - y) / (1.6 * soft) * 0.5 + 0.5)

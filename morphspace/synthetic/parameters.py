@@ -49,7 +49,7 @@ Colour = tuple[float, float, float]
 
 @dataclass(frozen=True, eq=False)
 class Identity:
-    """Describe one drawn person; lengths in face units, colours sRGB-coded in [0, 1]. Ours."""
+    """One drawn person; lengths in face units, colours sRGB-coded in [0, 1]. Ours."""
 
     face_width: float = 0.97  # half the width at the cheekbones
     jaw_width: float = 0.76  # half the width at the corners of the jaw
@@ -141,7 +141,7 @@ class Identity:
         )
 
     def as_dict(self) -> dict[str, object]:
-        """Give the parameters as a JSON-ready record."""
+        """Return the parameters as a JSON-ready record."""
         return asdict(self)
 
 
@@ -151,7 +151,7 @@ SIGNED_ACTIONS = ("jaw_sideways", "gaze_x", "gaze_y")
 
 @dataclass(frozen=True, eq=False)
 class Expression:
-    """Say how much of each action the face shows, 0 at rest; right and left are the subject's. Ours.
+    """The amount of each action, 0 for the neutral face; right and left are the subject's. Ours.
 
     `gaze_x` and `jaw_sideways` are positive to the picture's right, `gaze_y` downwards. Raises `BadInput` for
     an amount outside [0, 1], or [-1, 1] for the actions of `SIGNED_ACTIONS`.
@@ -185,7 +185,7 @@ class Expression:
                 raise BadInput(f"{name} is {amount}, outside [{lowest:g}, 1]: give an amount inside")
 
     def as_dict(self) -> dict[str, float]:
-        """Give the amounts by name, in a fixed order."""
+        """Return the amounts by name, in a fixed order."""
         return {field.name: float(getattr(self, field.name)) for field in fields(self)}
 
 
@@ -195,7 +195,7 @@ ACTIONS = tuple(field.name for field in fields(Expression))
 
 @dataclass(frozen=True, eq=False)
 class Capture:
-    """Describe how a frame was taken: rigid head motion, light and sensor. Ours.
+    """The capture of a frame: rigid head motion, light and sensor. Ours.
 
     The head turns by `roll_deg` (positive: clockwise in the picture) and grows by `zoom` about the bridge of
     the nose, then moves by (`shift_x_px`, `shift_y_px`). `gain` multiplies the sRGB-coded picture, and
@@ -216,7 +216,7 @@ class Capture:
     crease_gain: float = 1.0
 
     def as_dict(self) -> dict[str, float]:
-        """Give the settings as a JSON-ready record."""
+        """Return the settings as a JSON-ready record."""
         return asdict(self)
 
 
@@ -237,6 +237,6 @@ def scaled(amounts: dict[str, float], factor: float) -> dict[str, float]:
 
 
 def single_actions(amount: float = 1.0) -> Iterator[tuple[str, Expression]]:
-    """Give each action alone, by name, at `amount` (signed actions in their positive direction)."""
+    """Return each action alone, by name, at `amount` (signed actions in their positive direction)."""
     for name in ACTIONS:
         yield name, Expression(**{name: amount})

@@ -51,7 +51,7 @@ BLINK_FRAMES = 5  # from open to open
 
 
 def expression_sequence(frames: int, rng: np.random.Generator) -> list[Expression]:
-    """Give a smooth varied performance of `frames` expressions that starts at rest.
+    """Return a smooth varied performance of `frames` expressions that starts at rest.
 
     The poses of `POSES` come in an order, size and mixture drawn from `rng`, with blinks and small wandering
     of every action on top. With 25 frames or more every action is shown, to a quarter of its range or more; a
@@ -84,7 +84,7 @@ def _eased(time: AnyArray, keys: AnyArray) -> AnyArray:
 
 
 def _wander(frames: int, rng: np.random.Generator) -> AnyArray:
-    """Give small slow movement of every action: no living face holds still."""
+    """Return small slow movement of every action: no living face holds still."""
     phase = rng.uniform(0, 2 * np.pi, (2, len(ACTIONS)))
     rate = rng.uniform(0.05, 0.22, (2, len(ACTIONS)))
     time = np.arange(frames)[:, None]
@@ -116,7 +116,7 @@ def capture_sequence(
     light_change: float = 0.0,
     noise_sd: float = 0.0,
 ) -> list[Capture]:
-    """Give smooth head motion and light over `frames` frames; the first has none of either.
+    """Return smooth head motion and light over `frames` frames; the first has none of either.
 
     `head_motion_px` bounds the shift (the head also turns and nears in proportion: 0.5 degree and 0.3 % a
     px), `light_change` the relative change of gain and gradient, `noise_sd` is the sensor noise of every

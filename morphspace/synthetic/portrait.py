@@ -46,7 +46,7 @@ from morphspace.synthetic.texture import blurred
 
 @dataclass(frozen=True, eq=False)
 class PortraitMarks:
-    """Say where the face is in a photograph: the pupils in photograph px, all else in face units. Ours."""
+    """The position of the face in a photograph: the pupils in photograph px, all else in face units. Ours."""
 
     right_pupil: tuple[float, float]
     left_pupil: tuple[float, float]
@@ -249,6 +249,6 @@ def _interior(
 
 
 def _shown(slit: Aperture, x: AnyArray, y: AnyArray, fine: float) -> AnyArray:
-    """Give how much the photograph shows what is behind a slit: 1 well inside it."""
+    """Compute how much the photograph shows what is behind a slit: 1 well inside it."""
     depth = np.minimum(y - slit.upper(x), slit.lower(x) - y) * (np.abs(slit.along(x)) < 1)
     return np.asarray(np.clip(depth / (1.5 * fine), 0.0, 1.0))

@@ -13,7 +13,7 @@ from morphspace.synthetic.texture import blurred
 
 
 def outline(points: list[tuple[float, float]], count: int = 24) -> Points:
-    """Give a smooth closed curve (Catmull-Rom) through points, `count` steps between two of them."""
+    """Return a smooth closed curve (Catmull-Rom) through points, `count` steps between two of them."""
     knots = np.asarray(points, np.float64)
     before, after, next_one = np.roll(knots, 1, 0), np.roll(knots, -1, 0), np.roll(knots, -2, 0)
     t = (np.arange(count) / count)[:, None, None]
@@ -32,7 +32,7 @@ def mirrored(right_half: list[tuple[float, float]]) -> list[tuple[float, float]]
 
 
 def filled(curve: Points, x: AnyArray, y: AnyArray, softness: float = 0.0) -> AnyArray:
-    """Give the coverage in [0, 1] of a closed curve (face units) on a grid, blurred by `softness` px."""
+    """Return the coverage in [0, 1] of a closed curve (face units) on a grid, blurred by `softness` px."""
     step_x, step_y = float(x[0, 1] - x[0, 0]), float(y[1, 0] - y[0, 0])
     px = (curve - (float(x[0, 0]), float(y[0, 0]))) / (step_x, step_y)
     canvas = np.zeros(x.shape, np.uint8)
@@ -42,13 +42,13 @@ def filled(curve: Points, x: AnyArray, y: AnyArray, softness: float = 0.0) -> An
 
 
 def depth_inside(cover: AnyArray, unit_px: float) -> AnyArray:
-    """Give how far inside a shape each pixel is, in face units, smoothed."""
+    """Compute how far inside a shape each pixel is, in face units, smoothed."""
     inside = cv2.distanceTransform((cover > 0.5).astype(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
     return blurred(inside.astype(np.float32), 0.03 * unit_px) / np.float32(unit_px)
 
 
 def face_outline(identity: Identity) -> Points:
-    """Give the outline of skull, cheeks, jaw and chin."""
+    """Return the outline of skull, cheeks, jaw and chin."""
     wide, jaw, chin = identity.face_width, identity.jaw_width, identity.chin_drop
     half = [
         (0.0, -1.42),
@@ -69,7 +69,7 @@ def face_outline(identity: Identity) -> Points:
 
 
 def relief_of(identity: Identity, face: FaceGeometry, x: AnyArray, y: AnyArray, inside: AnyArray) -> AnyArray:
-    """Give the height of the face towards the viewer, in face units, on a grid."""
+    """Return the height of the face towards the viewer, in face units, on a grid."""
     rounding = np.sqrt(np.clip(1 - (1 - np.clip(inside / 0.62, 0, 1)) ** 2, 0, 1))
     skull = np.sqrt(np.clip(1 - (x / 1.18) ** 2 - ((y - 0.05) / 1.85) ** 2, 0.02, 1))
     z = 0.42 * rounding + 0.95 * skull

@@ -20,7 +20,7 @@ def blurred(field: AnyArray, sigma: float) -> AnyArray:
 
 
 def grain(rng: np.random.Generator, shape: tuple[int, int], sigma: float) -> AnyArray:
-    """Give noise with features of `sigma` px, mean 0 and standard deviation 1, (h, w) float32."""
+    """Return noise with features of `sigma` px, mean 0 and standard deviation 1, (h, w) float32."""
     coarse = max(1, int(sigma // 2))  # a broad grain is drawn on a coarser grid, at no loss
     small = (shape[0] // coarse + 3, shape[1] // coarse + 3)
     noise = rng.standard_normal(small, dtype=np.float32)
@@ -35,7 +35,7 @@ def grain(rng: np.random.Generator, shape: tuple[int, int], sigma: float) -> Any
 def octaves(
     rng: np.random.Generator, shape: tuple[int, int], sigmas: tuple[float, ...], fall: float
 ) -> AnyArray:
-    """Give a sum of grains, each finer one `fall` times weaker, with standard deviation 1."""
+    """Return a sum of grains, each finer one `fall` times weaker, with standard deviation 1."""
     total = np.zeros(shape, np.float32)
     for k, sigma in enumerate(sigmas):
         total += np.float32(fall**k) * grain(rng, shape, sigma)

@@ -62,7 +62,7 @@ NOISE_SD = 2.0 / 255.0
 
 @dataclass(frozen=True, eq=False)
 class FaceMarks:
-    """Say where the face is in a photograph, all in its px: the pupils, and the line between the lips.
+    """The position of the face in a photograph, all in its px: the pupils, and the line between the lips.
 
     `mouth` (m, 2), m >= 4, from the image's left corner of the mouth to the right one; `side_px` is the side of the
     square around the face that becomes the picture. `right_eye` is the subject's, on the image's left. Ours.
@@ -134,7 +134,7 @@ def flow_pair(
 
 
 def astronaut_face() -> tuple[Image, FaceMarks]:
-    """Give the photograph that comes with scikit-image (Eileen Collins; NASA, public domain), and its marks."""
+    """Return the photograph that comes with scikit-image (Eileen Collins; NASA, public domain), and its marks."""
     mouth = [(203.5, 140.5), (212.0, 144.0), (220.0, 146.0), (228.0, 146.0), (237.0, 144.0), (245.5, 140.5)]
     photograph = skimage.data.astronaut().astype(np.float32) / 255
     return photograph, FaceMarks((202.75, 101.25), (247.5, 102.75), np.array(mouth), side_px=200.0)
@@ -145,7 +145,7 @@ EYE_LEVEL = 0.38  # of the picture's height, where the eyes stand
 
 @dataclass(frozen=True, eq=False)
 class _Camera:
-    """Look at a square of a photograph: picture px to photograph px and back. `scale` (2,) photograph px a px."""
+    """A view of a square of a photograph: picture px to photograph px and back. `scale` (2,) photograph px a px."""
 
     photograph: Image
     corner: AnyArray
@@ -166,7 +166,7 @@ class _Camera:
         return _Camera(photograph, corner * ratio, marks.side_px / size * ratio, size)
 
     def look(self, x: AnyArray, y: AnyArray) -> Image:
-        """Give the photograph's colours at points of the picture, (h, w, 3)."""
+        """Return the photograph's colours at points of the picture, (h, w, 3)."""
         there_x = self.corner[0] + (x + 0.5) * self.scale[0] - 0.5
         there_y = self.corner[1] + (y + 0.5) * self.scale[1] - 0.5
         return warp.sample_at(self.photograph, there_x.astype(np.float32), there_y.astype(np.float32))
@@ -213,7 +213,7 @@ class _Field:
         return (self.below(x, y) > 0) & (np.abs(self.across(x)) < 1)
 
     def at(self, x: AnyArray, y: AnyArray, sheet: Literal["upper", "lower"]) -> tuple[AnyArray, AnyArray]:
-        """Give u (2, ...) and its derivatives (2, 2, ...), [component, axis], on one sheet, continued over the line."""
+        """Return u (2, ...) and its derivatives (2, 2, ...), [component, axis], on one sheet and beyond it."""
         u = np.zeros((2, *x.shape))
         slope = np.zeros((2, 2, *x.shape))
         for (cx, cy), sd, amount in zip(self.centres, self.sds, self.amounts, strict=True):
@@ -240,7 +240,7 @@ class _Field:
         return u, slope
 
     def on_grid(self) -> tuple[AnyArray, float]:
-        """Give u (h, w, 2) on the picture's grid, and the least determinant of both sheets with continuations."""
+        """Return u (h, w, 2) on the picture's grid, and the least determinant of both sheets with continuations."""
         x, y = _grid(self.size)
         upper, upper_slope = self.at(x, y, "upper")
         lower, lower_slope = self.at(x, y, "lower")
@@ -302,7 +302,7 @@ def _drawn_field(
 
 
 def _frame(camera: _Camera, field: _Field, x: AnyArray, y: AnyArray, rng: np.random.Generator) -> Image:
-    """Give the frame (size, size, 3): upper skin, else lower skin, else the inside of the mouth."""
+    """Return the frame (size, size, 3): upper skin, else lower skin, else the inside of the mouth."""
     upper_x, upper_y = field.source(x, y, "upper")
     frame = camera.look(upper_x, upper_y)
     if field.opening:
@@ -321,7 +321,7 @@ def _frame(camera: _Camera, field: _Field, x: AnyArray, y: AnyArray, rng: np.ran
 
 
 def _cover(skin_px: AnyArray) -> AnyArray:
-    """Give how much of a fine pixel the skin covers whose edge is this far, px, positive on the skin."""
+    """Compute how much of a fine pixel the skin covers whose edge is this far, px, positive on the skin."""
     return np.clip(skin_px * FINE + 0.5, 0, 1)
 
 
@@ -378,5 +378,5 @@ def _averaged(fine: Image) -> Image:
 
 
 def _rounded(image: AnyArray) -> Image:
-    """Give the 8-bit codes nearest to an image, as shares of 255, float32."""
+    """Return the 8-bit codes nearest to an image, as shares of 255, float32."""
     return (np.round(np.clip(image, 0, 1) * 255) / 255).astype(np.float32)
