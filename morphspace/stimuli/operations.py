@@ -100,7 +100,7 @@ def _speed(motion: Motion, numbers: tuple[float, ...], setting: Setting) -> Moti
 def _rate(motion: Motion, numbers: tuple[float, ...], setting: Setting) -> Motion:
     (rate_hz,) = numbers
     if not 0 < rate_hz <= 1000:
-        raise BadInput(f"a frame rate of {rate_hz:g} Hz cannot be shown: give one above 0, at most 1000")
+        raise BadInput(f"the frame rate is {rate_hz:g} Hz; expected above 0, at most 1000. Change it")
     if motion.duration_s * rate_hz < 2:
         raise BadInput(
             f"{motion.name} lasts {motion.duration_s:g} s, less than 2 frames at {rate_hz:g} Hz: give a higher rate"
@@ -244,7 +244,7 @@ def _operation(word: str, value: Any) -> Operation:
     if kind is None:
         near = difflib.get_close_matches(word, WORDS, 1, 0.5)
         hint = f"did you mean {WORDS[near[0]].form(near[0])}?" if near else f"choose from {', '.join(WORDS)}"
-        raise BadInput(f"{word!r} is no operation on a trajectory: {hint}")
+        raise BadInput(f"{word!r} is not an operation on a trajectory: {hint}")
     if value is None or value == "":
         parts: list[Any] = []
     elif isinstance(value, list | tuple):
@@ -302,7 +302,9 @@ def worked(
         except BadInput as error:
             raise type(error)(f"{operation}: {error}") from error
         if not all(np.isfinite(motion.loadings_sd).all() for motion in found):
-            raise BadInput(f"{operation} gives loadings that are no numbers any more: give smaller gains")
+            raise BadInput(
+                f"{operation} makes loadings that are not finite; expected finite numbers. Use smaller gains"
+            )
     return tuple(found)
 
 

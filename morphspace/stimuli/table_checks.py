@@ -26,7 +26,8 @@ def check_table(model: MorphModel, table: LoadingsTable, path: Path) -> tuple[st
     columns = table.loadings_sd.shape[1]
     if columns > model.rank:
         raise BadInput(
-            f"{path} has {columns} components, {model.identity} has {model.rank}: encode with this model"
+            f"{path} has {columns} components; expected at most {model.rank} of {model.identity}. Encode with "
+            "this model"
         )
     if table.document is None:
         return (f"{path} has no sidecar: whether it belongs to this model cannot be checked",)

@@ -70,7 +70,8 @@ def retimed(loadings: LoadingTable, speed: float, ends: Ends = "open") -> Loadin
     """
     if not (np.isfinite(speed) and speed > 0):
         raise BadInput(
-            f"a speed of {speed:g} times cannot be played: give a number above 0, such as 0.5 or 2; `reverse` plays "
+            f"the speed is {speed:g}; expected a number above 0. Enter, for example, 0.5 or 2, or use `reverse` "
+            "to play "
             "backwards"
         )
     length = len(loadings) if ends == "closed" else len(loadings) - 1
@@ -126,12 +127,12 @@ def smoothed(loadings: LoadingTable, cutoff_hz: float, rate_hz: float, ends: End
     """
     if not (np.isfinite(cutoff_hz) and cutoff_hz > 0):
         raise BadInput(
-            f"a cut-off of {cutoff_hz:g} Hz cannot be used: give a number above 0, such as 6 for a face's motion"
+            f"the cut-off is {cutoff_hz:g} Hz; expected a number above 0. Enter, for example, 6 for a face's motion"
         )
     if cutoff_hz >= rate_hz / 2:
         raise BadInput(
-            f"a cut-off of {cutoff_hz:g} Hz is not below half the frame rate of {rate_hz:g} Hz, where there is nothing "
-            "to take away: lower it, or leave the smoothing out"
+            f"the cut-off is {cutoff_hz:g} Hz; expected less than half the frame rate of {rate_hz:g} Hz. Lower it or "
+            "leave out the smoothing"
         )
     largest_sd = min(max(len(loadings), 1), LARGEST_KERNEL_SD)
     least_hz = float(np.arccos(1 - np.log(2) / 2 / largest_sd**2)) * rate_hz / (2 * np.pi)
@@ -207,7 +208,8 @@ def check_same_components(one: LoadingTable, other: LoadingTable) -> None:
     """Raise `BadInput` if two motions have different numbers of components, or one has no frames."""
     if one.shape[1] != other.shape[1]:
         raise BadInput(
-            f"one motion has {one.shape[1]} components, the other {other.shape[1]}: encode both with the same model"
+            f"one motion has {one.shape[1]} components, the other {other.shape[1]}; expected equal numbers. "
+            "Encode both with the same model"
         )
     if min(len(one), len(other)) < 1:
-        raise BadInput("a motion has no frames: give tables with at least one row")
+        raise BadInput("a motion has no frames; expected at least one. Use a table with rows")

@@ -134,7 +134,9 @@ def looped(loadings: LoadingTable, weights: AnyArray, join_frames: int | None = 
     median step. Raises `BadInput` for fewer than 3 frames.
     """
     if len(loadings) < 3:
-        raise BadInput(f"a motion of {len(loadings)} frames cannot be looped: give at least 3")
+        raise BadInput(
+            f"the motion has {len(loadings)} frames; expected at least 3 for a loop. Use a longer one"
+        )
     most = usual_step([loadings], weights)
     return _bounded(np.concatenate([loadings, bridge(loadings, loadings, weights, most, join_frames)]))
 
@@ -149,14 +151,14 @@ def there_and_back(loadings: LoadingTable) -> LoadingTable:
     [0.0, 1.0, 2.0, 1.0]
     """
     if len(loadings) < 2:
-        raise BadInput(f"a motion of {len(loadings)} frames cannot go there and back: give at least 2")
+        raise BadInput(f"the motion has {len(loadings)} frames; expected at least 2. Use a longer one")
     return np.concatenate([loadings, loadings[-2:0:-1]])
 
 
 def _bounded(loadings: LoadingTable) -> LoadingTable:
     if len(loadings) > MOST_FRAMES:
         raise BadInput(
-            f"the motion would have {len(loadings)} frames, at most {MOST_FRAMES} are made: give less"
+            f"the motion would have {len(loadings)} frames; expected at most {MOST_FRAMES}. Shorten it"
         )
     return loadings
 
@@ -192,7 +194,9 @@ def scrambled_phase(loadings: LoadingTable, rng: np.random.Generator) -> Loading
     """
     count = len(loadings)
     if count < 3:
-        raise BadInput(f"a motion of {count} frames has no phases to scramble: give at least 3")
+        raise BadInput(
+            f"the motion has {count} frames and no phases to scramble; expected at least 3. Use a longer one"
+        )
     spectrum = np.fft.rfft(loadings, axis=0)
     phases = rng.uniform(0, 2 * np.pi, len(spectrum))
     phases[0] = 0.0  # the mean face
@@ -248,7 +252,8 @@ def caricatured(loadings: LoadingTable, mean: LoadingTable, gain: float, weights
     """
     if not abs(gain) <= LARGEST_GAIN:
         raise BadInput(
-            f"a gain of {gain:g} cannot be used: give {-LARGEST_GAIN:g} to {LARGEST_GAIN:g}, 1 for the motion as it is"
+            f"the gain of {gain:g} is too large; expected {-LARGEST_GAIN:g} to {LARGEST_GAIN:g}. Enter 1 for the "
+            "unchanged motion"
         )
     usual = at_positions(mean, positions_like(mean, loadings, weights))
     return np.asarray(loadings + (gain - 1) * (loadings - usual))

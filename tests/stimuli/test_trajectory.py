@@ -281,8 +281,8 @@ def test_the_least_cut_off_that_is_named_can_be_used_and_keeps_even_motion(frame
 @pytest.mark.parametrize(
     ("work", "said"),
     [
-        (lambda t: timing.retimed(t, 0.0), "speed of 0 times"),
-        (lambda t: timing.retimed(t, float("nan")), "speed of nan"),
+        (lambda t: timing.retimed(t, 0.0), "speed is 0;"),
+        (lambda t: timing.retimed(t, float("nan")), "speed is nan"),
         (lambda t: timing.retimed(t, 1e-9), "at most 100000"),
         (lambda t: timing.retimed(t, 100.0), "lower speed"),
         (lambda t: timing.retimed(t[:1], 2.0), "at least 2"),

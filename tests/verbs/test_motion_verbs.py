@@ -246,7 +246,7 @@ def test_a_mean_trajectory_that_was_kept_serves_as_the_guide(files, tmp_path):
         ({"tables": ("still.csv",)}, "1 frames, a motion has at least 2"),
         ({"tables": ()}, "no table"),
         ({"tables": ("smile.csv", "fast.csv"), "operations": ("splice",)}, "rate=10 before splice"),
-        ({"operations": ("speed=0",)}, "speed of 0"),
+        ({"operations": ("speed=0",)}, "speed is 0"),
         ({"operations": ("speed=nan",)}, "no number"),
         ({"operations": ("speed",)}, "speed=TIMES"),
         ({"operations": ("loop=1:2",)}, r"loop\[=S\]"),
