@@ -173,6 +173,15 @@ def test_believed_versions_mix_as_their_weighted_mean(mixer, anna, ben):
     assert_allclose(made.displacement, 0.75 * one.displacement + 0.25 * other.displacement, atol=1e-4)
 
 
+def test_a_wrinkle_of_the_lighter_weighted_is_theirs(mixer, anna, ben):
+    """Ben has a quarter of the weight, so a quarter of what is coarse and half of what is fine: 0.34 of the wrinkle."""
+    wrinkle = np.zeros_like(ben.mean.texture)
+    wrinkle[36, 24:36] = -0.4
+    other = Morph.of(ben.mean.texture + wrinkle, ben.mean.displacement, ben.mean.reference_id)
+    made = mixer.blended([Version(anna.mean, 1.0), Version(other, 1.0)]).texture - mixer.mean.texture
+    assert made[36, 28:32].mean() / wrinkle[36, 28:32].mean() == pytest.approx(0.34, abs=0.02)
+
+
 def test_who_cannot_show_an_expression_enters_with_the_mean_face_alone(mixer, anna, ben):
     one, broken = anna.expand(anna.training.values[0]), ben.expand(5 * ben.sd)
     made = mixer.blended([Version(one, 1.0), Version(broken, LEAST / 2)])
