@@ -244,6 +244,15 @@ def mesh_on(model):
     return model.with_faceframe(FACEFRAME, origin)
 
 
+def test_where_one_has_no_mesh_points_the_faceframes_start_the_correspondence(anna, ben):
+    without = common_face([anna, ben], ["a", "b"], 0, "dis").fields[1]
+    for models in (
+        [mesh_on(anna), ben],
+        [anna, mesh_on(ben).with_faceframe(ELSEWHERE, mesh_on(ben).provenance["keypoints"])],
+    ):
+        assert_array_equal(common_face(models, ["a", "b"], 0, "dis").fields[1], without)
+
+
 def test_the_blend_ends_inside_the_outline_of_the_face(anna):
     assert inside_outline(anna) is None  # no mesh points
     outline = inside_outline(mesh_on(anna))
