@@ -39,8 +39,7 @@ def result_file(folder: Path, *parts: Any) -> Path:
     folder : Path
     *parts
         Everything that the result depends on, as JSON: name and version of its kind, versions of the code, settings,
-        digests of
-        its inputs.
+        digests of its inputs.
     """
     return folder / f"{digest_of_json(parts)[:KEY_DIGITS]}{SUFFIX}"
 

@@ -35,15 +35,15 @@ class Outcome:
     Attributes
     ----------
     lines : tuple of str
-        For the user.
+        Text for the user.
     document : mapping
-        For `--json`.
+        The result for `--json`.
     warnings : tuple of str
-        What the user should act on.
+        Problems on which the user should act.
     written : tuple of Path
         Files that were written.
     exit_code : int
-        0 for success; the help of a verb explains any other.
+        0 for success; the help of a verb explains other codes.
     """
 
     lines: tuple[str, ...]

@@ -1,7 +1,8 @@
-"""What a request is: one declaration gives the Python constructor, the command line, recipes and their JSON Schema.
+"""Requests: one declaration yields the Python constructor, the command line, recipes and their JSON Schema.
 
-A verb is a file of `morphspace.verbs`. It declares a frozen dataclass, named after the file, whose fields are settings
-(`morphspace.settings`), and a `run` that does what an instance asks for. The list of verbs is the list of these files.
+A verb is a file of `morphspace.verbs`. It declares a frozen dataclass, named after the file, whose fields are
+settings (`morphspace.settings`), and a function `run` that executes a request. The list of verbs is the list of these
+files.
 """
 
 from __future__ import annotations
@@ -36,9 +37,9 @@ Request = typing.TypeVar("Request")
 
 VERBS_PACKAGE = "morphspace.verbs"
 GROUPS = {"models": "The networks that find faces: fetched once, then used offline."}
-"""The first words of the names of several verbs, and what these are about."""
-OUTPUT = "output"  # the field that says where results go, which a recipe never sets
-NOTHING = "none"  # how a text of a recipe says null
+"""First words of verb names, with the help of their group."""
+OUTPUT = "output"  # the field with the output path, which a recipe never sets
+NOTHING = "none"  # the text for null in a recipe
 
 # Kinds of settings that several verbs share.
 
@@ -51,7 +52,7 @@ Clip = Annotated[
     Argument("CLIP..."),
     Help("Image files, a folder, a quoted glob, or a video."),
 ]
-Folder = Annotated[Path, Option("-o", "--output"), Help("The folder to write into.")]
+Folder = Annotated[Path, Option("-o", "--output"), Help("The output folder.")]
 Crop = Annotated[tuple[int, int, int, int], Separated(",", "10,20,200,240"), Option(metavar="X,Y,W,H")]
 Size = Annotated[tuple[int, int], Separated("xX", "200x240"), Option(metavar="WxH")]
 FrameCrop = Annotated[Crop | None, Help("Cut this box out of every frame first, px.")]
@@ -60,21 +61,21 @@ FrameRate = Annotated[
     Ge(1),
     Le(1000),
     Option("--frame-rate", metavar="HZ"),
-    Help("Frames a second of a video."),
+    Help("Frame rate of a video, Hz."),
 ]
 Frames = Annotated[
     tuple[str, ...],
     Option("--frame", metavar="NAME"),
-    Help("Only this frame; may be given again [default: all]."),
+    Help("Only this frame; may be repeated [default: all]."),
 ]
-Seed = Annotated[int, Ge(0), Help("The same seed gives the same result.")]
+Seed = Annotated[int, Ge(0), Help("Seed of the random numbers; the same seed gives the same result.")]
 MimicryMethod = Literal["auto", "paper", "map", "transfer", "guided"]
 VideoSuffix = Literal[".mp4", ".mkv"]
 VideoOrPictures = Annotated[
     VideoSuffix | None,
     Help(
-        "Draw the frames as one motion: .mp4 for people, .mkv lossless; the point may be left out "
-        "[default: a picture a frame]."
+        "Draw the frames as one video: .mp4 plays everywhere, .mkv is lossless; the point is optional "
+        "[default: one picture per frame]."
     ),
 ]
 VIDEO_SUFFIXES: tuple[VideoSuffix, ...] = typing.get_args(VideoSuffix)
@@ -100,18 +101,18 @@ def fields_of(request: type) -> tuple[Field, ...]:
 
 
 def field_named(request: type, name: str) -> Field:
-    """Give one setting of a request by its name."""
+    """Return one setting of a request by name."""
     return next(field for field in fields_of(request) if field.name == name)
 
 
 @typing.dataclass_transform(frozen_default=True)
 def declared(request: type[Request]) -> type[Request]:
-    """Make a class with annotated fields a request: a frozen dataclass whose constructor converts and checks them.
+    """Turn a class with annotated fields into a request: a frozen dataclass that converts and checks its fields.
 
-    The constructor raises `WrongSetting` where a value cannot be converted or lies outside its limits. A class may
-    compare its settings with each other in a method `check`, which then follows.
+    The constructor raises `WrongSetting` if a value cannot be converted or lies outside its limits. It then calls the
+    method `check` of the class, if any, which compares settings with each other.
     """
-    setattr(request, "__post_init__", _convert)  # noqa: B010  # mypy knows no such attribute
+    setattr(request, "__post_init__", _convert)  # noqa: B010  # mypy does not know the attribute
     return dataclass(frozen=True)(request)
 
 
@@ -127,23 +128,23 @@ def _convert(request: Any) -> None:
 def request_from(
     kind: type, settings: Mapping[str, Any], place: Callable[[str], Path] = Path, **more: Any
 ) -> Any:
-    """Make a request of what a recipe says.
+    """Build a request from the settings of a recipe.
 
     Parameters
     ----------
     kind : type
         The request.
     settings : mapping
-        Values by the names of settings; the text `none` stands for None where that is a value.
+        Values by the names of settings; the text `none` means None if the setting allows it.
     place : callable
-        Turns the words of a path into a path.
+        Converts the words of a path into a path.
     **more
-        Settings that the recipe does not have, as they are.
+        Settings that a recipe cannot set, unconverted.
 
     Raises
     ------
     WrongSetting
-        Where a setting is missing, or has a value it cannot have.
+        If a setting is missing or has a wrong value.
     """
     values = {}
     for field in fields_of(kind):
@@ -160,7 +161,7 @@ def request_from(
 
 
 def request_document(request: Any) -> dict[str, Any]:
-    """Give a frozen request as JSON: every field but `output`, paths as they were given (`told_path`)."""
+    """Return a request as JSON: every field but `output`, with paths as given (`told_path`)."""
     return {field.name: _told(getattr(request, field.name)) for field in settings_of(type(request))}
 
 
@@ -177,9 +178,9 @@ def _told(value: Any) -> Any:
 
 
 def told_path(path: Path) -> str:
-    """Give a path as records name it: as it was given, or from the working folder, or else its last part alone.
+    """Return a path for records: as given, or relative to the working folder, or else the file name alone.
 
-    Where a person keeps files is nobody's business who gets a stimulus.
+    Records do not disclose the folders of a user.
     """
     if not path.is_absolute():
         return path.as_posix()
@@ -192,9 +193,9 @@ def told_path(path: Path) -> str:
 
 @dataclass(frozen=True)
 class Verb:
-    """A verb: its `name` on the command line, the `module` that is its file, and the type of its `request`.
+    """A verb: its `name` on the command line, the `module` of its file, and the type of its `request`.
 
-    A recipe may use the verbs that have a `plan(request, model)`, where `model` is None if the verb opens its own, or a
+    A recipe may use a verb that has a `plan(request, model)`, with `model` None if the verb opens its own, or a
     `check(request)`.
     """
 
@@ -204,66 +205,66 @@ class Verb:
 
     @property
     def run(self) -> Callable[..., Any]:
-        """What does it: a generator of steps that gives an `Outcome`."""
+        """Return the function that executes a request: a generator of steps that returns an `Outcome`."""
         return self.module.run
 
     @property
     def plan(self) -> Callable[..., Any] | None:
-        """What plans its stimuli for a larger set, or None."""
+        """Return the function that plans the stimuli for a larger set, or None."""
         return getattr(self.module, "plan", None)
 
     @property
     def check(self) -> Callable[[Any], None] | None:
-        """What finds out before it runs whether it can fill a folder of its own, or None."""
+        """Return the function that checks a request before a folder is filled, or None."""
         return getattr(self.module, "check", None)
 
     def asked(self, request: Any) -> int:
-        """Count the stimuli that are asked for outright, so that too many are refused before they are planned."""
+        """Return the number of stimuli requested, so that excessive requests are refused before planning."""
         return self.module.asked(request) if hasattr(self.module, "asked") else 1
 
     @property
     def help(self) -> str:
-        """What it does: the docstring of its request."""
+        """Return the help of the verb: the docstring of its request."""
         return typing.cast(str, self.request.__doc__)
 
     @property
     def settings(self) -> tuple[str, ...]:
-        """Give the names of the fields a recipe may set: all but where the output goes."""
+        """Return the names of the fields that a recipe may set: all but the output."""
         return tuple(field.name for field in settings_of(self.request))
 
     @property
     def files(self) -> tuple[str, ...]:
-        """Give the names of the settings that are texts and names of files at once (`NamesFile`)."""
+        """Return the names of the text settings that name files (`NamesFile`)."""
         return tuple(field.name for field in settings_of(self.request) if field.names_files)
 
 
 def settings_of(request: type) -> tuple[Field, ...]:
-    """Give the fields of a request that say what is made: all but where the output goes."""
+    """Return all fields of a request but the output."""
     return tuple(field for field in fields_of(request) if field.name != OUTPUT)
 
 
 @cache
 def _files() -> dict[str, str]:
-    """Give the file of each verb, without its suffix, by the name of the verb."""
+    """Return the file of each verb, without its suffix, by the name of the verb."""
     package = importlib.import_module(VERBS_PACKAGE)
     files = [module.name for module in pkgutil.iter_modules(package.__path__)]
     return {_name_of(file): file for file in files}
 
 
 def _name_of(file: str) -> str:
-    """Give the name of a verb: words with hyphens, the first apart where it is a group's."""
+    """Return the name of a verb: words with hyphens, and a space after the name of a group."""
     group, _, rest = file.partition("_")
     return f"{group} {rest.replace('_', '-')}" if rest and group in GROUPS else file.replace("_", "-")
 
 
 def verb_names() -> tuple[str, ...]:
-    """Give the names of all verbs, as the command line calls them."""
+    """Return the names of all verbs on the command line."""
     return tuple(_files())
 
 
 @cache
 def verb_named(name: str) -> Verb:
-    """Import the file of a verb and give its `Verb`. Raises `BadInput` for a name that no verb has."""
+    """Import the file of a verb and return its `Verb`. Raises `BadInput` for an unknown name."""
     if name not in _files():
         raise BadInput(f"the verb is {name!r}; expected one of {', '.join(verb_names())}")
     file = _files()[name]
@@ -276,11 +277,11 @@ def _request_name(file: str) -> str:
 
 
 def all_verbs() -> Iterator[Verb]:
-    """Import the files of all verbs, and give them."""
+    """Import and yield all verbs."""
     return map(verb_named, verb_names())
 
 
 @cache
 def recipe_verbs() -> Mapping[str, Verb]:
-    """Import every verb and give, by name, those that a recipe may use."""
+    """Import all verbs and return, by name, those that a recipe may use."""
     return {verb.name: verb for verb in all_verbs() if verb.plan or verb.check}

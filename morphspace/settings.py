@@ -1,11 +1,11 @@
-"""What a setting of a request may be: how it is declared, converted, refused, and said in words.
+"""Settings of a request: how they are declared, converted, checked and described (ours).
 
 A setting is a field of a request, annotated with its type, its limits and its help:
 
-    count: Annotated[int, Ge(1), Le(100_000), Option("-n", "--count"), Help("How many faces.")] = 16
+    count: Annotated[int, Ge(1), Le(100_000), Option("-n", "--count"), Help("Number of faces.")] = 16
 
-Whether a value comes from Python, from a recipe or as a text from the command line, `converted` gives the value of the
-type, or refuses it with the same words. Nothing heavy is imported here: `--help` reads these declarations. Ours.
+`converted` treats a value from Python, from a recipe or from the command line in the same way, with the same error
+messages. This module imports nothing heavy, because `--help` reads these declarations.
 """
 
 from __future__ import annotations
@@ -36,23 +36,23 @@ LONGEST_SHOWN = 60  # characters of a refused value in a message
 
 @dataclass(frozen=True)
 class Help:
-    """One or two sentences on what the setting does."""
+    """The help of the setting, one or two sentences."""
 
     text: str
 
 
 @dataclass(frozen=True)
 class Argument:
-    """Marks a setting that the command line takes without an option; `metavar` stands for it in the help."""
+    """A setting that the command line takes without an option; `metavar` is its name in the help."""
 
     metavar: str
 
 
 @dataclass(frozen=True, init=False)
 class Option:
-    """The option of a setting, where it is not `--` and the field's name.
+    """The option of a setting, if it is not `--` and the field's name.
 
-    `metavar` stands for its value in the help; an option that `gives` a value takes none.
+    `metavar` is the name of its value in the help. An option with a fixed value (`gives`) takes no value.
     """
 
     flags: tuple[str, ...]
@@ -66,31 +66,31 @@ class Option:
 
 @dataclass(frozen=True)
 class NotAnOption:
-    """Marks a setting that Python and recipes have and the command line has not."""
+    """A setting of Python and recipes that is not on the command line."""
 
 
 @dataclass(frozen=True)
 class NamesFile:
-    """Marks a text that names files: a recipe looks for them from its own folder."""
+    """A text that names files; a recipe resolves them from its own folder."""
 
 
 @dataclass(frozen=True)
 class OneOf:
-    """The texts a setting may be, where they are declared elsewhere and a `Literal` would repeat them."""
+    """The permitted texts of a setting if they are declared elsewhere, so a `Literal` would repeat them."""
 
     values: tuple[str, ...]
 
 
 @dataclass(frozen=True)
 class Spelled:
-    """The word that means None in a text, such as auto or all."""
+    """The word for None in a text, such as auto or all."""
 
     nothing: str
 
 
 @dataclass(frozen=True)
 class Separated:
-    """Marks a list that the command line takes as one text; `by` holds the characters that separate its values."""
+    """A list that the command line takes as one text; `by` holds the characters that separate its values."""
 
     by: str
     example: str
@@ -107,75 +107,75 @@ class Field:
 
     @property
     def required(self) -> bool:
-        """Whether it has no default."""
+        """Return whether the setting has no default."""
         return self.default is dataclasses.MISSING
 
     @property
     def optional(self) -> bool:
-        """Whether it may be None."""
+        """Return whether the setting may be None."""
         return type(None) in typing.get_args(self.kind)
 
     @property
     def help(self) -> str:
-        """What it does, in one or two sentences."""
+        """Return the help, one or two sentences."""
         mark = _mark(self.marks, Help)
         return "" if mark is None else mark.text
 
     @property
     def argument(self) -> Argument | None:
-        """How the command line takes it without an option, or None."""
+        """Return the mark of a setting that is given without an option, or None."""
         return _mark(self.marks, Argument)
 
     @property
     def flags(self) -> tuple[str, ...]:
-        """Give its options on the command line, the longest last."""
+        """Return the options on the command line, the longest last."""
         options = [mark for mark in self.marks if isinstance(mark, Option) and mark.flags]
         return options[-1].flags if options else (f"--{self.name.replace('_', '-')}",)
 
     @property
     def gives(self) -> str | None:
-        """The value that its option stands for, where the option takes none."""
+        """Return the fixed value of an option that takes none, or None."""
         given = [mark.gives for mark in self.marks if isinstance(mark, Option) and mark.gives]
         return given[-1] if given else None
 
     @property
     def spoken(self) -> str:
-        """What the command line calls it, empty where it does not ask for it."""
+        """Return the name on the command line; empty if the setting is not on it."""
         if _mark(self.marks, NotAnOption) is not None:
             return ""
         return self.flags[-1] if self.argument is None else self.argument.metavar
 
     @property
     def metavar(self) -> str:
-        """What stands for its value in the help."""
+        """Return the name of the value in the help."""
         named = [mark.metavar for mark in self.marks if isinstance(mark, Option) and mark.metavar]
         return named[-1] if named else _metavar(self.kind, self.marks)
 
     @property
     def words(self) -> str:
-        """Say what a value of it is, such as `a whole number from 1 to 100`."""
+        """Describe a value of the setting, such as `a whole number from 1 to 100`."""
         return worded(self.kind, self.marks)
 
     @property
     def limits(self) -> str:
-        """Say between which numbers it lies, empty where it is no number or any."""
+        """Describe the limits of a number; empty if there are none."""
         values = self.values
         return _limits(self.marks if values is None else _bare(values[0])[1])
 
     @property
     def names_files(self) -> bool:
-        """Whether its texts name files (`NamesFile`)."""
+        """Return whether the texts of the setting name files (`NamesFile`)."""
         return _names_files(self.kind, self.marks)
 
     @property
     def values(self) -> tuple[Any, ...] | None:
-        """Give the kinds of a list's values, ending in `...` for any number of them, or None for what is no list."""
+        """Return the kinds of a list's values, ending in `...` for any number of them; None if it is no list."""
         members = typing.get_args(self.kind) if _is_union(self.kind) else (self.kind,)
         return next((typing.get_args(one) for one in members if typing.get_origin(one) is tuple), None)
 
     @property
     def word_count(self) -> int | None:
-        """How many words of the command line it takes, None for any number; numbers of a list are one, with commas."""
+        """Return the number of command line words, None for any number; a list of numbers is one word with commas."""
         values = self.values
         if values is None or _mark(self.marks, Separated) is not None:
             return 1
@@ -185,7 +185,7 @@ class Field:
 
     @property
     def default_words(self) -> str:
-        """Give its default as a text would say it, empty where there is none or the help says what happens."""
+        """Return the default as text; empty if there is none or if the help describes it."""
         if self.required or self.default is False or self.default == ():
             return ""
         if self.default is None:
@@ -216,7 +216,7 @@ def field_of(name: str, annotation: Any, default: Any = dataclasses.MISSING) -> 
 
 
 def _bare(kind: Any, marks: tuple[Any, ...] = ()) -> tuple[Any, tuple[Any, ...]]:
-    """Take the marks off a type: those of a union's members count for the whole, unless it has its own."""
+    """Separate a type from its marks; the marks of a union's members apply to the whole unless it has its own."""
     if typing.get_origin(kind) is Annotated:
         inner, *own = typing.get_args(kind)
         return _bare(inner, (*own, *marks))
@@ -233,7 +233,7 @@ def _names_files(kind: Any, marks: tuple[Any, ...] = ()) -> bool:
 
 
 def _mark(marks: tuple[Any, ...], kind: type) -> Any:
-    """Give the last mark of a kind, which is the most particular, or None."""
+    """Return the last mark of a kind, which is the most specific, or None."""
     return next((mark for mark in reversed(marks) if isinstance(mark, kind)), None)
 
 
@@ -241,14 +241,14 @@ def _mark(marks: tuple[Any, ...], kind: type) -> Any:
 
 
 class WrongSetting(BadInput):
-    """A setting has a value it cannot have. The message is `NAME is VALUE; expected WORDS`."""
+    """A setting has a wrong value. The message is `NAME is VALUE; expected WORDS`."""
 
     def __init__(self, name: str, rest: str) -> None:
         self.name, self.rest = name, rest
         super().__init__(self.called(name))
 
     def called(self, name: str) -> str:
-        """Give the message with the name that the user knows the setting by."""
+        """Return the message with the name by which the user knows the setting."""
         return f"{name} {self.rest}"
 
 
@@ -257,16 +257,16 @@ class _OtherKind(Exception):
 
 
 def converted(field: Field, given: Any, place: Callable[[str], Path] = Path) -> Any:
-    """Convert a value, of Python, of a recipe or a text of the command line, to the kind of a setting.
+    """Convert a value from Python, from a recipe or from the command line to the kind of a setting.
 
     Parameters
     ----------
     field : Field
         The setting.
     given : object
-        The value. A text may stand for a number, and for a list its values with separators between them.
+        The value. A text may represent a number, or a list with separators between its values.
     place : callable
-        Turns the words of a path into a path.
+        Converts the words of a path into a path.
 
     Returns
     -------
@@ -276,7 +276,7 @@ def converted(field: Field, given: Any, place: Callable[[str], Path] = Path) -> 
     Raises
     ------
     WrongSetting
-        Where it cannot be converted or lies outside its limits.
+        If the value cannot be converted or lies outside its limits.
     """
     try:
         return _converted(given, field.kind, field.marks, place)
@@ -293,7 +293,7 @@ def _converted(given: Any, kind: Any, marks: tuple[Any, ...], place: Callable[[s
         return _of_tuple(given, kind, marks, place)
     if origin is Literal:
         for value in typing.get_args(kind):
-            if isinstance(given, str) and given in (value, value.removeprefix(".")):  # mp4 stands for .mp4
+            if isinstance(given, str) and given in (value, value.removeprefix(".")):  # mp4 means .mp4
                 return value
     elif kind is type(None):
         spelled = _mark(marks, Spelled)
@@ -317,7 +317,7 @@ def _converted(given: Any, kind: Any, marks: tuple[Any, ...], place: Callable[[s
 
 
 def _of_union(given: Any, kind: Any, marks: tuple[Any, ...], place: Callable[[str], Path]) -> Any:
-    """Try the members, texts last: a text that can be a number is one where a number may stand."""
+    """Try the members of a union, texts last, so that the text of a number becomes a number if one is allowed."""
     for member in sorted(typing.get_args(kind), key=lambda one: (one is str, one is Path)):
         try:
             return _converted(given, member, marks, place)
@@ -339,7 +339,7 @@ def _of_tuple(given: Any, kind: Any, marks: tuple[Any, ...], place: Callable[[st
 
 
 def _separators(inner: tuple[Any, ...], marks: tuple[Any, ...]) -> str:
-    """Give the pattern of what stands between two values of a list that is written as one text."""
+    """Return the pattern of the separators in a list that is written as one text."""
     separated = _mark(marks, Separated)
     usual = NUMBER_SEPARATORS if _is_number(inner[0]) else TEXT_SEPARATORS
     by = usual if separated is None else separated.by + usual
@@ -348,7 +348,7 @@ def _separators(inner: tuple[Any, ...], marks: tuple[Any, ...]) -> str:
 
 def _number(given: Any, kind: Any, marks: tuple[Any, ...]) -> float | int:
     if isinstance(given, str):
-        if not given.isascii() or "_" in given:  # Python reads 1_0 and digits of other scripts as numbers
+        if not given.isascii() or "_" in given:  # Python would accept 1_0 and digits of other scripts
             raise _OtherKind
         try:
             given = float(given)
@@ -393,7 +393,7 @@ def _shown(given: Any) -> str:
 
 
 def worded(kind: Any, marks: tuple[Any, ...] = (), *, many: bool = False) -> str:
-    """Say in words what a value of an annotated kind is, or what `many` such values are."""
+    """Describe a value of an annotated kind, or several (`many`)."""
     kind, marks = _bare(kind, marks)
     origin, inner = typing.get_origin(kind), typing.get_args(kind)
     if _is_union(kind):
@@ -425,7 +425,7 @@ def worded(kind: Any, marks: tuple[Any, ...] = (), *, many: bool = False) -> str
 
 
 def _limits(marks: tuple[Any, ...]) -> str:
-    """Say between which numbers a number lies."""
+    """Describe the limits of a number."""
     low, above, high = _mark(marks, Ge), _mark(marks, Gt), _mark(marks, Le)
     if low is not None:
         return f"from {_figure(low.ge)} " + ("up" if high is None else f"to {_figure(high.le)}")
@@ -463,9 +463,9 @@ def _metavar(kind: Any, marks: tuple[Any, ...]) -> str:
 
 
 def json_schemas(kind: Any, marks: tuple[Any, ...] = ()) -> list[dict[str, Any]]:
-    """Make JSON Schemas, one of which each value of an annotated kind fits, as a recipe may write it.
+    """Return JSON Schemas of which a value of an annotated kind, as written in a recipe, fits one.
 
-    Limits hold for numbers that are not written as texts.
+    Limits apply to numbers that are not written as texts.
     """
     kind, marks = _bare(kind, marks)
     origin, inner = typing.get_origin(kind), typing.get_args(kind)
@@ -514,6 +514,6 @@ def _list_schemas(inner: tuple[Any, ...], marks: tuple[Any, ...]) -> list[dict[s
 
 
 def _pattern(kind: Any) -> str:
-    """Give the pattern of a text that stands for one value of a list."""
+    """Return the pattern of a text for one value of a list."""
     bare = _bare(kind)[0]
     return {int: WHOLE_PATTERN, float: NUMBER_PATTERN}.get(bare, ".+")

@@ -1,7 +1,7 @@
-"""Documents that are made from the declarations of the verbs: the page of all settings, and the schema of a recipe.
+"""Generate documents from the declarations of the verbs: the page of all settings, and the schema of a recipe.
 
-`python -m morphspace.cli.documents verbs > docs/verbs.md` writes the page again; `... recipe-schema` prints the JSON
-Schema of a recipe, for an editor that checks YAML against one.
+`python -m morphspace.cli.documents verbs > docs/verbs.md` writes the page; `... recipe-schema` prints the JSON Schema
+of a recipe, with which an editor can check its YAML.
 """
 
 from __future__ import annotations
@@ -19,17 +19,17 @@ from morphspace.settings import Field, json_schemas
 HEAD = """# Verbs
 
 Every verb of morphspace with its settings. In Python they are the fields of a request of `morphspace.verbs.NAME`, whose
-`run` does what it asks for. A [recipe](../data_spec/recipe.md) has them as keys of an entry, for the verbs marked with
-an asterisk. Python, the command line and recipes take and refuse the same values. `morphspace VERB --help` says the
-same. Every verb also takes `--quiet`, `--json` and `--debug`.
+`run` executes it. A [recipe](../data_spec/recipe.md) has them as keys of an entry, for the verbs marked with
+an asterisk. Python, the command line and recipes accept the same values. `morphspace VERB --help` shows the same
+texts. Every verb also takes `--quiet`, `--json` and `--debug`.
 
-This page is made from the declarations: `python -m morphspace.cli.documents verbs > docs/verbs.md`.
+This page is generated from the declarations: `python -m morphspace.cli.documents verbs > docs/verbs.md`.
 """
 Schema = dict[str, Any]
 
 
 def verbs_page() -> str:
-    """Write the page of all verbs and their settings, in Markdown."""
+    """Return the page of all verbs and their settings, in Markdown."""
     verbs = list(all_verbs())
     starred = recipe_verbs()
     rows = [
@@ -45,7 +45,7 @@ def _first_line(verb: Verb) -> str:
 
 
 def _section(verb: Verb) -> str:
-    """Write what a verb does, how it is called, and the table of its settings."""
+    """Return the section of a verb: purpose, usage, and table of settings."""
     text = inspect.cleandoc(verb.help)
     if "\b\n" in text:  # click's mark of a block that keeps its lines
         before, block = text.split("\b\n")
@@ -63,10 +63,9 @@ def _row(field: Field) -> str:
 
 
 def recipe_schema() -> Schema:
-    """Make the JSON Schema of a recipe (of its YAML as JSON) from the requests of the verbs a recipe may use.
+    """Return the JSON Schema of a recipe, from the requests of the verbs that recipes may use.
 
-    A number outside its limits, or a list with too few values, is refused by the schema only where it is not written as
-    a text.
+    The schema checks limits of numbers and lengths of lists only for values that are not written as text.
     """
     verbs = recipe_verbs()
     entries = {f"entry_{name}": _entry(verb) for name, verb in verbs.items()}
@@ -115,12 +114,12 @@ def recipe_schema() -> Schema:
             "filled": {
                 "type": "string",
                 "pattern": "\\{[^{}]+\\}",
-                "description": "with a place to fill; a place alone becomes the level itself, of any kind",
+                "description": "with a placeholder; a placeholder alone is replaced by the level itself, of any kind",
             },
             "word": {"type": "string", "pattern": "^[A-Za-z][A-Za-z0-9_]*$"},
             "pattern": {
                 "anyOf": [{"type": "string", "pattern": "\\S"}, {"type": "number"}],
-                "description": "names of stimuli: text, / between folders, places in braces",
+                "description": "names of stimuli: text, / between folders, placeholders in braces",
             },
             **entries,
         },
@@ -140,14 +139,14 @@ def _entry(verb: Verb) -> Schema:
 
 
 def setting_schema(field: Field) -> Schema:
-    """Make the JSON Schema of one setting of an entry: of its values, of texts that stand for them, and of places."""
+    """Return the JSON Schema of one setting of an entry: its values, texts for them, and placeholders."""
     nothing = [{"const": NOTHING}] if field.optional else []
     values = json_schemas(field.kind, field.marks)
     return {"description": field.help, "anyOf": [{"$ref": "#/$defs/filled"}, *nothing, *values]}
 
 
 def main() -> None:
-    """Print the document that is asked for."""
+    """Print the requested document."""
     (wanted,) = sys.argv[1:]
     print(verbs_page().rstrip() if wanted == "verbs" else json.dumps(recipe_schema(), indent=2))
 

@@ -1,7 +1,7 @@
-"""The command line: turns words into requests, shows progress, prints outcomes, and sets the exit code.
+"""The command line: it converts words to requests, shows progress, prints outcomes, and sets the exit code.
 
-Exit 0 when it was done, 2 for something the user can mend, 1 for a failure of ours, 130 when interrupted. Nothing heavy
-is imported before a verb runs, so that help is instant.
+The exit code is 0 for success, 2 for input that the user can correct, 1 for a fault of ours, 130 for an interruption.
+Heavy modules are imported only when a verb runs, so help is fast.
 """
 
 from __future__ import annotations
@@ -25,25 +25,28 @@ if TYPE_CHECKING:
     from morphspace.steps import Step, Steps
 
 PROGRESS_AFTER_S = 2.0
-PROGRESS_EVERY_S, IN_A_LOG_EVERY_S = 0.1, 30.0  # on a terminal; in a file, where each is a line more
+PROGRESS_EVERY_S, IN_A_LOG_EVERY_S = (
+    0.1,
+    30.0,
+)  # s; on a terminal, and in a log file, where each update adds a line
 INTERRUPTED = 130
-WORKERS_HELP = "Frames, or stimuli of a batch, to work on at a time [default: one a core]."
+WORKERS_HELP = "Number of frames, or stimuli of a batch, to process in parallel [default: one per core]."
 
 
 class Verbs(click.Group):
-    """A group whose commands are the verbs, imported when they are asked for, and whose usage errors are one line."""
+    """A click group of the verbs; it imports a verb when called, and prints usage errors in one line."""
 
     def __init__(self, *args: Any, prefix: str = "", **extra: Any) -> None:
         super().__init__(*args, **extra)
         self.prefix = prefix
 
     def list_commands(self, ctx: click.Context) -> list[str]:
-        """Give the names of the verbs of this group, and of the groups inside it."""
+        """Return the names of the verbs and groups of this group."""
         names = [name.removeprefix(self.prefix) for name in verb_names() if name.startswith(self.prefix)]
         return sorted({name.partition(" ")[0] for name in names})
 
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
-        """Make the command of a verb from the declaration of its request."""
+        """Build the command of a verb from the declaration of its request."""
         if cmd_name not in self.list_commands(ctx):
             return None
         if not self.prefix and cmd_name in GROUPS:
@@ -51,7 +54,7 @@ class Verbs(click.Group):
         return _command(cmd_name, verb_named(self.prefix + cmd_name))
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
-        """List the verbs with the first sentence of their help, without making their options."""
+        """List the verbs with the first sentence of their help, without building their options."""
         names = self.list_commands(ctx)
         helps = {name: GROUPS.get(name) or verb_named(self.prefix + name).help for name in names}
         limit = formatter.width - 6 - max(map(len, names))
@@ -64,10 +67,10 @@ class Verbs(click.Group):
             )
 
     def main(self, *args: Any, **extra: Any) -> Any:
-        """Run, and exit: a wrong usage is one line."""
+        """Run the command and exit; a usage error is printed in one line."""
         extra["standalone_mode"] = False
         given = args[0] if args else extra.get("args")
-        is_told = "--json" in (sys.argv[1:] if given is None else given)  # our option is not read yet
+        is_told = "--json" in (sys.argv[1:] if given is None else given)  # the option is not parsed yet
         try:
             code = super().main(*args, **extra)
         except click.UsageError as error:
@@ -98,7 +101,7 @@ def main() -> None:
 
 
 def _tidy_up_when_asked_to_stop() -> None:
-    """Let SIGTERM and SIGHUP end a verb as Ctrl-C does, so that no unfinished file is left; not under nohup."""
+    """End a verb on SIGTERM and SIGHUP as on Ctrl-C, so that no unfinished file stays; nohup is respected."""
     if threading.current_thread() is threading.main_thread():
         for number in (signal.SIGTERM, getattr(signal, "SIGHUP", signal.SIGTERM)):
             if signal.getsignal(number) == signal.SIG_DFL:
@@ -106,7 +109,7 @@ def _tidy_up_when_asked_to_stop() -> None:
 
 
 def _command(name: str, verb: Verb) -> click.Command:
-    """Make the command of a verb: its own parameters, and those that all verbs share."""
+    """Build the command of a verb: its own parameters, and those of all verbs."""
     shared = [
         click.Option(["--workers"], type=click.IntRange(1, 1024), metavar="N", help=WORKERS_HELP),
         click.Option(["--quiet"], is_flag=True, help="Print nothing but errors."),
@@ -124,7 +127,7 @@ def _command(name: str, verb: Verb) -> click.Command:
 def _run(
     verb: Verb, words: dict[str, Any], workers: int | None, quiet: bool, as_json: bool, debug: bool
 ) -> int:
-    """Run the verb with the words that were given, show its outcome, and give the exit code."""
+    """Run the verb with the given words, print its outcome, and return the exit code."""
     _tidy_up_when_asked_to_stop()
     try:
         request = request_of_words(verb.request, words)
@@ -136,7 +139,7 @@ def _run(
         if debug:
             raise
         _fail(
-            "stopped; every file there is whole. The same command goes on where it can",
+            "stopped; all written files are complete. Run the same command to resume",
             INTERRUPTED,
             "Interrupted" if as_json else None,
         )
@@ -159,7 +162,7 @@ def _run(
 
 
 def _driven(steps: Steps[Outcome], silent: bool) -> Outcome:
-    """Run the steps with a progress bar a stage; bars appear only for work of more than two seconds."""
+    """Run the steps with one progress bar per stage; a bar appears only after two seconds of work."""
     from morphspace.steps import result_of
 
     if silent:
@@ -207,7 +210,7 @@ def _show(outcome: Outcome, quiet: bool, as_json: bool) -> None:
 
 
 def _fail(message: str, code: int, kind: str | None = None) -> None:
-    """Print one line on the error stream, and where a machine asked (`kind`) the same as JSON on the other; exit."""
+    """Print one line on the error stream, and the same as JSON on standard output if `kind` is given; then exit."""
     line = " ".join(message.split())
     click.echo(f"morphspace: {line}", err=True)
     if kind is not None:

@@ -1,4 +1,4 @@
-"""The command line of a verb, made from the declaration of its request."""
+"""Build the command line of a verb from the declaration of its request."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ REPEATED = -1  # the `nargs` of click for any number of values
 
 
 def parameters_of(request: type) -> list[click.Parameter]:
-    """Make the click parameters of a request, arguments first.
+    """Return the click parameters of a request, arguments first.
 
-    All of them take texts: the request itself converts and checks them.
+    All of them accept text, which the request converts and checks.
     """
     fields = [field for field in fields_of(request) if field.spoken]
     arguments = [_argument(field) for field in fields if field.argument is not None]
@@ -24,7 +24,7 @@ def parameters_of(request: type) -> list[click.Parameter]:
 
 
 def usage_of(verb: Verb) -> str:
-    """Give the line that calls a verb: its arguments, and the options it cannot do without."""
+    """Return the usage line of a verb: its arguments and required options."""
     fields = fields_of(verb.request)
     needed = [
         f"{field.flags[0]} {field.metavar}" for field in fields if field.required and not field.argument
@@ -34,12 +34,12 @@ def usage_of(verb: Verb) -> str:
 
 
 def request_of_words(request: type, words: Mapping[str, Any]) -> Any:
-    """Make a request of the words of the command line, by the names of its fields; what was not given is left out.
+    """Build a request from the words of the command line, by field name; fields without a word keep their defaults.
 
     Raises
     ------
     click.UsageError
-        Where a word is not what its setting takes. It names the option.
+        If a word does not fit its setting. The message names the option.
     """
     context = click.get_current_context()
     default = click.core.ParameterSource.DEFAULT
@@ -79,7 +79,7 @@ def _option(field: Field) -> click.Option:
 
 
 def _help(field: Field) -> str:
-    """Give the help of an option, with its default and its limits."""
+    """Return the help of an option, with its default and its limits."""
     notes = [f"default: {field.default_words}"] if field.default_words else []
     if field.limits:
         notes.append(field.limits)

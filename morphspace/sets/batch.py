@@ -1,4 +1,7 @@
-"""A batch: the stimulus set of a recipe, planned whole, drawn in parallel, and resumed after an interruption."""
+"""A batch draws the stimulus set of a recipe (ours).
+
+It plans the whole set first, draws it in several processes, and resumes after an interruption.
+"""
 
 from __future__ import annotations
 
@@ -28,19 +31,19 @@ from morphspace.steps import Step, Steps, core_count, worker_count
 from morphspace.stimuli.drawing import PICTURE_SUFFIXES, Drawing
 from morphspace.storage import make_folder, remove_unfinished
 
-MOST_UNASKED = 100_000  # stimuli made without --yes: a day's drawing, and tens of gigabytes
-MOST_PLANNED = 1_000_000  # shown by --plan without --yes: minutes, and gigabytes of memory
-FEW_FRAMES = 64  # drawn before other processes have started
-TRIED_FRAMES = 8  # of a video that is drawn to see how long a batch will take
-SHOWN_NOTES = 5  # on folders
+MOST_UNASKED = 100_000  # stimuli drawn without --yes: about a day, and tens of gigabytes
+MOST_PLANNED = 1_000_000  # stimuli planned by --plan without --yes: minutes, and gigabytes of memory
+FEW_FRAMES = 64  # frames; fewer are drawn before other processes have started
+TRIED_FRAMES = 8  # frames drawn of a video to estimate the duration of a batch
+SHOWN_NOTES = 5  # notes on folders
 STIMULUS_SUFFIXES = (*PICTURE_SUFFIXES, *VIDEO_SUFFIXES)
-LEFT_OVER = (*STIMULUS_SUFFIXES, ".json", ".csv", ".html", cache.SUFFIX)  # of unfinished files
-TRIED_KINDS = 6  # sorts of stimuli that are tried
+LEFT_OVER = (*STIMULUS_SUFFIXES, ".json", ".csv", ".html", cache.SUFFIX)  # suffixes of unfinished files
+TRIED_KINDS = 6  # pairs of model and file type that are tried
 
 
 @dataclass(frozen=True, eq=False)
 class Estimate:
-    """How long the drawing will take, s, and how large the set will be, bytes; without folders that verbs fill."""
+    """The time that drawing takes, s, and the size of the set, bytes; folders filled by verbs are not included."""
 
     seconds: float
     size_bytes: float
@@ -48,9 +51,9 @@ class Estimate:
 
 @dataclass(frozen=True, eq=False)
 class BatchPlan:
-    """A batch that is ready to be drawn into the folder `output`: only the disk can refuse it now.
+    """A batch that is checked and ready to be drawn into the folder `output`; only the disk can still refuse it.
 
-    `asked_workers` is the number of processes that was asked for; None for one a core.
+    `asked_workers` is the requested number of processes; None for one per core.
     """
 
     recipe: Path
@@ -61,7 +64,7 @@ class BatchPlan:
 
     @property
     def workers(self) -> int:
-        """In how many processes it is drawn."""
+        """Return the number of processes that draw the batch."""
         if self.asked_workers is not None:
             return self.asked_workers
         pieces = len(self.planned.drawings) + len(self.planned.folders)
@@ -70,16 +73,16 @@ class BatchPlan:
 
     @property
     def frames(self) -> int:
-        """How many pictures are drawn, those of videos too."""
+        """Count the pictures to draw, including the frames of videos."""
         return sum(len(drawing.loadings_sd) for _, drawing in self.planned.drawings)
 
     @property
     def asks(self) -> bool:
-        """Whether it makes so many stimuli that the command line wants --yes."""
+        """Check whether the batch is so large that the command line requires --yes."""
         return len(self.planned.drawings) + len(self.planned.folders) > MOST_UNASKED
 
     def lines(self, estimate: Estimate | None) -> tuple[str, ...]:
-        """Tell the plan: how many, how long, how large."""
+        """Describe the plan: number of stimuli, duration and size."""
         drawings = [drawing for _, drawing in self.planned.drawings]
         videos = sum(drawing.frame_rate_hz is not None for drawing in drawings)
         models = len({planned.model.model_id for planned in self.planned.sets})
@@ -93,7 +96,7 @@ class BatchPlan:
         lines = [f"{self.recipe}: {', '.join(kinds)}, from {_counted(models, 'model')}"]
         begun = sum((self.output / f"{drawing.name}.json").exists() for drawing in drawings)
         if begun:
-            lines.append(f"{begun:,} of them are in {self.output} already; what is whole is kept")
+            lines.append(f"{begun:,} of them are in {self.output} already; complete ones are kept")
         if estimate is not None and drawings:
             also = ", and the folders" if self.planned.folders else ""
             lines.append(
@@ -101,11 +104,11 @@ class BatchPlan:
                 f"{_size(estimate.size_bytes)}{also}"
             )
         if self.asks:
-            lines.append(f"these are more than {MOST_UNASKED:,}: they are made only with --yes")
+            lines.append(f"these are more than {MOST_UNASKED:,} stimuli. Give --yes to make them")
         return tuple(lines)
 
     def document(self, estimate: Estimate) -> dict[str, Any]:
-        """Give the plan for a machine."""
+        """Return the plan as JSON."""
         return {
             "stimuli": len(self.planned.drawings),
             "frames": self.frames,
@@ -120,23 +123,27 @@ class BatchPlan:
 def planned_batch(
     recipe: Path, output: Path, workers: int | None = None, most: int | None = MOST_UNASKED
 ) -> Steps[BatchPlan]:
-    """Read and check a whole recipe; draw nothing. Return a `BatchPlan`.
+    """Read and check a whole recipe without drawing anything.
 
     Parameters
     ----------
     workers
-        Processes that will draw; None for one a core.
+        Number of processes that draw; None for one per core.
     most
-        The largest number of stimuli; None for any.
+        Largest number of stimuli; None for no limit.
+
+    Returns
+    -------
+    BatchPlan
 
     Raises
     ------
     BadInput
-        With the recipe's line.
+        If the recipe cannot be used; the message names its line.
     """
     if workers is not None and workers < 1:
         raise BadInput(
-            f"the number of processes is {workers}; expected at least 1. Leave it out for one a core"
+            f"the number of processes is {workers}; expected at least 1. Leave it out for one per core"
         )
     read = read_recipe(recipe, {name: verb.settings for name, verb in recipe_verbs().items()})
     planned = yield from planned_recipe(read, output, most)
@@ -144,7 +151,7 @@ def planned_batch(
 
 
 def estimated(batch: BatchPlan) -> Estimate:
-    """Draw a few stimuli aside, one of each sort, and work out how long and how large the whole will be."""
+    """Estimate duration and size of a batch from a few trial stimuli, one of each model and file type."""
     kinds: dict[tuple[str, str], list[tuple[PlannedSet, Drawing]]] = {}
     for planned, drawing in batch.planned.drawings:
         kinds.setdefault((planned.model.model_id, drawing.suffix), []).append((planned, drawing))
@@ -159,7 +166,7 @@ def estimated(batch: BatchPlan) -> Estimate:
 
 
 def write_batch(batch: BatchPlan) -> Steps[Outcome]:
-    """Draw everything, keep what is there and whole, and complete the set. Returns an `Outcome`."""
+    """Draw every stimulus that is not complete yet, then write manifest, loadings, page and record."""
     folder, planned = batch.output, batch.planned
     make_folder(folder)
     with _alone(folder):
@@ -197,7 +204,7 @@ def _pieces(batch: BatchPlan) -> Iterator[Piece]:
 
 
 def _completed(batch: BatchPlan, rows: list[dict[str, Any]], folder_rows: list[dict[str, Any]]) -> Outcome:
-    """Write what the whole set gets: manifest, loadings, page, table of folders, record."""
+    """Write the files of the whole set: manifest, loadings, page, table of folders and record."""
     folder, planned = batch.output, batch.planned
     settings = {"recipe": batch.recipe.name, "description": batch.description}
     tables: dict[str, Mapping[str, Any]] = {}
@@ -221,7 +228,7 @@ def _completed(batch: BatchPlan, rows: list[dict[str, Any]], folder_rows: list[d
 
 
 def _folder_notes(rows: list[dict[str, Any]]) -> list[str]:
-    """Give what the verbs said of the folders they filled, the first few; the table has them all."""
+    """Return the first few notes of the verbs that filled folders; the table holds all of them."""
     notes = [f"{row['name']}: {row['notes']}" for row in rows if row["notes"]]
     if len(notes) <= SHOWN_NOTES:
         return notes
@@ -229,7 +236,7 @@ def _folder_notes(rows: list[dict[str, Any]]) -> list[str]:
 
 
 def _stale_notes(folder: Path, planned: Planned) -> list[str]:
-    """Say how many stimuli lie in the folder that this recipe does not make."""
+    """Note how many stimuli in the folder do not belong to this recipe."""
     ours = {drawing.name for _, drawing in planned.drawings}
     own = [folder / job.name for job in planned.folders]
     others = [
@@ -253,7 +260,7 @@ def _folder_lines(batch: BatchPlan) -> tuple[str, ...]:
 
 
 def _tried(planned: PlannedSet, drawing: Drawing, folder: Path) -> tuple[float, float]:
-    """Draw the first frames of a stimulus aside, twice; give seconds and bytes a frame, of the second time."""
+    """Draw the first frames of a stimulus twice; return seconds and bytes per frame of the second run."""
     few = dataclasses.replace(
         drawing,
         loadings_sd=drawing.loadings_sd[:TRIED_FRAMES],
@@ -262,7 +269,7 @@ def _tried(planned: PlannedSet, drawing: Drawing, folder: Path) -> tuple[float, 
         placing=None,
     )
     head = planned.sidecar_head()
-    for place in ("first", "second"):  # the first opens files and fills caches
+    for place in ("first", "second"):  # the first run opens files and fills caches
         start = time.perf_counter()
         make_stimulus(planned.model, few, head, folder / place)
         seconds = time.perf_counter() - start
@@ -273,9 +280,9 @@ def _tried(planned: PlannedSet, drawing: Drawing, folder: Path) -> tuple[float, 
 
 @contextlib.contextmanager
 def _alone(folder: Path) -> Iterator[None]:
-    """Hold the folder for this batch, where the system can; the hold ends with the process, however it ends.
+    """Lock the folder for this batch if the system supports locks; the lock ends with the process.
 
-    Raises `BadInput` where another batch is at work there.
+    Raises `BadInput` if another batch is writing into the folder.
     """
     try:
         import fcntl
@@ -288,7 +295,7 @@ def _alone(folder: Path) -> Iterator[None]:
             fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError as error:
             raise BadInput(
-                f"another batch is writing into {folder}: let it end, or choose another output folder"
+                f"another batch is writing into {folder}. Wait until it ends, or choose another output folder"
             ) from error
         except OSError:  # a file system without locks
             pass
@@ -298,7 +305,7 @@ def _alone(folder: Path) -> Iterator[None]:
 
 
 def _remove_left_overs(folder: Path, planned: Planned) -> None:
-    """Remove the unfinished files that a killed batch has left; only such as are named like ours."""
+    """Remove unfinished files of a stopped batch, but only those with names of this set."""
     stems = {Path(drawing.name).name for _, drawing in planned.drawings}
     stems |= {"manifest", "loadings", "record", "index", Path(FOLDERS_TABLE).stem}
     own = [folder / job.name for job in planned.folders]

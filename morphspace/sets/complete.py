@@ -1,4 +1,4 @@
-"""What a folder of stimuli gets once they are all drawn: manifest, tables of loadings, page and record."""
+"""Complete a folder of drawn stimuli: manifest, tables of loadings, page and record (ours)."""
 
 from __future__ import annotations
 
@@ -27,16 +27,23 @@ from morphspace.storage import digest_of_file, write_text
 
 PAGE_NAME = "index.html"
 OUTLIER_Z = 3.5  # of the modified z-score (Iglewicz and Hoaglin 1993)
-LEAST_FOR_OUTLIERS = 8  # stimuli; of fewer, none can be said to stand out
+LEAST_FOR_OUTLIERS = 8  # stimuli; the spread of fewer is too uncertain
 NORMAL_MAD = 0.6745  # the median absolute deviation of a normal distribution, in its sd
-LEAST_SPREAD = 0.005  # of a statistic's median: three and a half times that is what an eye can just see
-LOADINGS_KINDS = ("loadings", "colour_loadings")  # where colours are drawn of others than the warp
+LEAST_SPREAD = 0.005  # share of a statistic's median; 3.5 times this is a just visible difference
+LOADINGS_KINDS = ("loadings", "colour_loadings")  # two tables if colours have other loadings than the warp
 
 
 def write_set(planned: PlannedSet, folder: Path) -> Steps[Outcome]:
     """Draw every stimulus of the set into the folder, with sidecars, manifest, loadings, page and record.
 
-    What is there already and whole is kept. Returns an `Outcome`. Raises `UnwritableFile` and `BadInput`.
+    Complete stimuli in the folder are kept.
+
+    Raises
+    ------
+    UnwritableFile
+        If the folder or a file in it cannot be written.
+    BadInput
+        If a file of another origin would be replaced.
     """
     check_set(folder, planned.drawings, planned.files, tuple(planned.tables))
     keep_model(planned)
@@ -50,7 +57,7 @@ def write_set(planned: PlannedSet, folder: Path) -> Steps[Outcome]:
     stills = all(drawing.frame_rate_hz is None for drawing in planned.drawings)
     if stills:
         made = in_order(make, planned.drawings)
-    else:  # the frames of a video are drawn side by side, the videos one after the other
+    else:  # the frames of a video are drawn in parallel, the videos one after the other
         made = (
             make_stimulus(planned.model, drawing, head, folder, worker_count())
             for drawing in planned.drawings
@@ -68,10 +75,16 @@ def complete_set(
     verb: str,
     request: Mapping[str, Any],
 ) -> Outcome:
-    """Write manifest, loadings, page and record of a folder whose stimuli are all made, and sum the set up.
+    """Write manifest, loadings, page and record of a folder whose stimuli are drawn, and summarise the set.
 
-    Parameters: `sets`, what was planned, in order; `rows`, what `make_stimulus` gave for each of their drawings, in the
-    same order; `verb` and `request` of the whole. Returns an `Outcome`.
+    Parameters
+    ----------
+    sets
+        The planned sets, in order.
+    rows
+        The manifest rows that `make_stimulus` returned for their drawings, in the same order.
+    verb, request
+        The verb and the request of the whole folder.
     """
     rows = flagged(rows)
     columns: dict[str, Column] = {}
@@ -110,7 +123,7 @@ def complete_set(
 
 
 def _others(folder: Path, made: Mapping[str, str]) -> tuple[str, ...]:
-    """Say where stimuli of another set lie in the folder: the manifest does not list them."""
+    """Note stimuli of another set in the folder, which the manifest does not list."""
     kinds = (*PICTURE_SUFFIXES, *VIDEO_SUFFIXES)
     here = (
         path
@@ -128,7 +141,7 @@ def _others(folder: Path, made: Mapping[str, str]) -> tuple[str, ...]:
 
 
 def flagged(rows: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
-    """Give the rows with `outlier_in`: the image statistics in which a stimulus stands out from its set."""
+    """Add `outlier_in` to each row: the image statistics in which the stimulus is an outlier of its set."""
     names = [f"{space}_{figure}" for space in SPACES for figure in FIGURES]
     found: list[list[str]] = [[] for _ in rows]
     for name in names:
@@ -139,7 +152,7 @@ def flagged(rows: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
 
 
 def _stands_out(values: AnyArray) -> AnyArray:
-    """Tell which values lie further from the median than the modified z-score allows, (n,) bool."""
+    """Return which values (n,) exceed the modified z-score limit, (n,) bool."""
     known = np.isfinite(values)
     if known.sum() < LEAST_FOR_OUTLIERS:
         return np.zeros(len(values), bool)
@@ -151,7 +164,7 @@ def _stands_out(values: AnyArray) -> AnyArray:
 
 
 def to_look_at(rows: Sequence[Mapping[str, Any]]) -> dict[str, list[Mapping[str, Any]]]:
-    """Give the rows of stimuli that are clipped, fold, lie beyond what is plausible, or stand out of their set."""
+    """Select the rows of stimuli with clipped colours, folds, implausible loadings or outlying statistics."""
     return {
         "clipped": [row for row in rows if row["clipped_percent"] > CLIPPED_PERCENT],
         "folded": [row for row in rows if row["folded_percent"] > FOLDED_PERCENT],
@@ -161,14 +174,14 @@ def to_look_at(rows: Sequence[Mapping[str, Any]]) -> dict[str, list[Mapping[str,
 
 
 def _advice(row: Mapping[str, Any]) -> str | None:
-    """Give what brings a stimulus nearer to the mean face by the verb that made it, None where nothing does."""
+    """Name the setting of the verb that moves a stimulus towards the mean face; None if it has no such setting."""
     advice = {"sweep": "use fewer SD", "grid": "use fewer SD", "sample": "lower the spread or --max-sd"}
     verb = row.get("verb")
     return advice.get(str(verb), None if verb in ("continuum", "trajectory") else "lower the gain")
 
 
 def notes_on(rows: Sequence[Mapping[str, Any]]) -> tuple[str, ...]:
-    """Say what a reader of the set should know: clipped colours, folds, faces beyond the plausible, outliers."""
+    """Summarise the problems of a set: clipped colours, folds, implausible faces and outliers."""
     notes = []
     clipped, folded, beyond, outliers = to_look_at(rows).values()
     if clipped:
@@ -199,7 +212,7 @@ def notes_on(rows: Sequence[Mapping[str, Any]]) -> tuple[str, ...]:
 
 
 def loadings_tables(sets: Sequence[PlannedSet]) -> list[str]:
-    """Give the names of the files that may be written for the loadings of all stimuli, a table a model."""
+    """Return the file names that the loadings of all stimuli may have, one table per model."""
     endings = _by_ending(sets)
     return [
         f"{kind}{ending}{suffix}"
@@ -210,7 +223,7 @@ def loadings_tables(sets: Sequence[PlannedSet]) -> list[str]:
 
 
 def _by_ending(sets: Sequence[PlannedSet]) -> dict[str, list[PlannedSet]]:
-    """Give the sets of each model, by what its table's name ends in."""
+    """Group the sets by model; the keys are the endings of the tables' names."""
     by_model: dict[str, list[PlannedSet]] = {}
     for planned in sets:
         by_model.setdefault(planned.model.model_id, []).append(planned)
@@ -218,7 +231,7 @@ def _by_ending(sets: Sequence[PlannedSet]) -> dict[str, list[PlannedSet]]:
 
 
 def _write_loadings(folder: Path, sets: Sequence[PlannedSet]) -> list[Path]:
-    """Write the loadings of all stimuli, a table a model."""
+    """Write the loadings of all stimuli, one table per model."""
     written: list[Path] = []
     for ending, group in _by_ending(sets).items():
         drawings = [drawing for planned in group for drawing in planned.drawings]
@@ -247,13 +260,13 @@ def _write_loadings(folder: Path, sets: Sequence[PlannedSet]) -> list[Path]:
 
 
 def _stacked(tables: Sequence[AnyArray]) -> AnyArray:
-    """Put tables one under the other; fewer components are the first ones, the rest is 0."""
+    """Stack tables of loadings (n, k) vertically; missing later components are 0."""
     width = max(table.shape[1] for table in tables)
     return np.concatenate([np.pad(table, ((0, 0), (0, width - table.shape[1]))) for table in tables])
 
 
 def frame_names(drawing: Drawing) -> tuple[str, ...]:
-    """Give the names of a stimulus' frames in the table of loadings: its own, and for a video the frame from 0."""
+    """Return the row names of a stimulus in the table of loadings; for a video the frame number from 0 is added."""
     count = len(drawing.loadings_sd)
     if drawing.frame_rate_hz is None:
         return (drawing.name,)
@@ -269,7 +282,7 @@ def _write_page(
     notes: Sequence[str],
     columns: Sequence[str],
 ) -> Path:
-    """Write index.html: contact sheet, statistics, what stands out."""
+    """Write index.html: contact sheet, image statistics and stimuli to inspect."""
     thumbnails = {
         place: _middle(folder / str(rows[place]["file"]), rows[place]) for place in places_shown(len(rows))
     }
@@ -281,7 +294,7 @@ def _write_page(
 
 
 def _middle(path: Path, row: Mapping[str, Any]) -> Image:
-    """Give the picture, or of a video the middle frame, small (h, w, 3)."""
+    """Read the picture, or the middle frame of a video, and reduce it to a thumbnail (h, w, 3)."""
     if row["frame_rate_hz"] is None:
         return small(read_image(path))
     from morphspace.io.video import read_frames  # loads libav, which stills do not need
@@ -297,6 +310,6 @@ def _write_record(
     made: Mapping[str, str],
     written: Sequence[Path],
 ) -> Path:
-    """Write the record; the digests of stimuli are known, those of the set's own files are taken."""
+    """Write the record with the known digests of the stimuli and new digests of the set's own files."""
     outputs = {path.relative_to(folder).as_posix(): digest_of_file(path) for path in written}
     return write_record_of(folder / RECORD_NAME, verb, settings, inputs, {**made, **outputs})

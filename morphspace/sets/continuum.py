@@ -1,4 +1,4 @@
-"""A continuum as a set: its two ends read, its steps as drawings, and every step measured (ours)."""
+"""A continuum as a set: read its two ends, draw its steps, and measure every step (ours)."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ COLUMNS: Mapping[str, Column] = {
 
 @dataclass(frozen=True, eq=False)
 class ContinuumEnds:
-    """The line between the two ends, the file its model is or will be in, the inputs' digests, and what to note."""
+    """The line between two ends, the path of its model, the digests of the inputs, and notes."""
 
     line: Line
     model_path: Path
@@ -62,23 +62,23 @@ def continuum_ends(
     crop: tuple[int, int, int, int] | None = None,
     model: MorphModel | None = None,
 ) -> Steps[ContinuumEnds]:
-    """Read the two ends of a continuum: two models, or two pictures or rows of tables that one model shows.
+    """Read the two ends of a continuum: two models, or two pictures or table rows of one model.
 
     Parameters
     ----------
     folder
-        Where the model of two models will lie.
+        Folder for the new model if the ends are two models.
     model_path
-        The model that shows both; None where the ends are two models.
+        The model of both ends; None if the ends are two models.
     crop
         (x, y, w, h) px, cut out of pictures first.
     model
-        The model of `model_path`, where it is open already.
+        The model of `model_path` if it is open already.
 
     Raises
     ------
     BadInput
-        Where the ends are of two kinds, or one of them cannot be read.
+        If the ends are of two kinds, or one of them cannot be read.
     """
     given = (first, last)
     models = [end for end in given if end.lower().endswith(MODEL_SUFFIX)]
@@ -86,14 +86,14 @@ def continuum_ends(
         if len(models) < 2:
             other = next(end for end in given if end not in models)
             raise BadInput(
-                f"{other} is no model ({MODEL_SUFFIX}): give two models, or the model that shows both (--model)"
+                f"{other} is not a model ({MODEL_SUFFIX}). Give two models, or the model that shows both (--model)"
             )
         if crop is not None:
-            raise BadInput("a crop cuts pictures, and the ends are models: leave it out")
+            raise BadInput("a crop applies to pictures, but the ends are models. Leave it out")
         return (yield from _ends_of_pair((Path(first), Path(last)), folder))
     if models:
         raise BadInput(
-            f"{models[0]} is a model: leave out the model {model_path} for the faces of two models, or give "
+            f"{models[0]} is a model, and --model is {model_path}. Leave out --model for two models, or give "
             "pictures or rows TABLE.csv:FRAME"
         )
     model = model or load_model(model_path)
@@ -109,7 +109,7 @@ def continuum_ends(
         yield Step("read", len(loadings), 2)
     shortest = min(map(len, loadings))
     if any(values[shortest:].any() for values in loadings):
-        shortest = max(map(len, loadings))  # what a table leaves out is 0
+        shortest = max(map(len, loadings))  # components that a table lacks are 0
     start, stop = (
         np.pad(values, (0, shortest - len(values))) for values in (one[:shortest] for one in loadings)
     )
@@ -118,7 +118,7 @@ def continuum_ends(
 
 
 def _of_row(model: MorphModel, path: Path, frame: str) -> tuple[LoadingVector, str, tuple[str, ...]]:
-    """Give the loadings (k,) of a row, the table's digest, and what to note."""
+    """Return the loadings (k,) of a table row, the digest of the table, and notes."""
     table = read_loadings_table(path)
     notes = check_table(model, table, path)
     if frame not in table.frame_names:
@@ -133,12 +133,12 @@ def _of_row(model: MorphModel, path: Path, frame: str) -> tuple[LoadingVector, s
 def _of_picture(
     model: MorphModel, path: str, crop: tuple[int, int, int, int] | None
 ) -> tuple[LoadingVector, str, tuple[str, ...]]:
-    """Give the loadings (k,) of a picture, its digest, and what to note."""
+    """Return the loadings (k,) of a picture, its digest, and notes."""
     if path.lower().endswith(".csv"):
-        raise BadInput(f"{path} is a table: say which of its frames is meant, {path}:FRAME")
+        raise BadInput(f"{path} is a table. Name one of its frames: {path}:FRAME")
     source = framed_for(model, (path,), crop)
     if len(source.names) != 1:
-        raise BadInput(f"{path} holds {len(source.names)} frames: give one picture")
+        raise BadInput(f"{path} has {len(source.names)} frames; expected one. Give one picture")
     (encoded,) = encoded_frames(model, source)
     loadings = encoded.loadings.values[0]
     notes: tuple[str, ...] = ()
@@ -146,7 +146,7 @@ def _of_picture(
     if outside > STRANGE:
         notes += (
             f"{Path(path).name} is unlike the faces {model.identity} was built from (it leaves {outside:.1f} times "
-            "their variance unexplained): the continuum starts or ends at what the model makes of it",
+            "their variance unexplained): the continuum starts or ends at the model's reconstruction of it",
         )
     return loadings, source.file_digests[0], notes
 
@@ -168,7 +168,7 @@ def _ends_of_pair(paths: tuple[Path, Path], folder: Path) -> Steps[ContinuumEnds
 
 @lru_cache(maxsize=PAIRS_KEPT)
 def _pair(paths: tuple[Path, ...], digests: tuple[str, ...]) -> MorphModel:
-    """Build the model of a pair, once for all jobs of a batch that ask for it."""
+    """Build the model of a pair once for all jobs of a batch."""
     inputs = dict(zip(("first", "last"), digests, strict=True))
     models = [load_model(path) for path in paths]
     return pair_model(models, flow=DEFAULT, inputs=inputs, versions=versions()).model
@@ -177,16 +177,16 @@ def _pair(paths: tuple[Path, ...], digests: tuple[str, ...]) -> MorphModel:
 def spaced_series(
     line: Line, positions: AnyArray, spacing: Spacing | None, *, linear: bool
 ) -> Steps[dict[str, AnyArray]]:
-    """Return the positions of each series by its name: the continuum, and the linear control where it differs.
+    """Return the positions of each series by name: the continuum, and the linear control if it differs.
 
     Parameters
     ----------
     positions
-        (n,) on the line, evenly spaced where they are to be spaced anew.
+        (n,) on the line; evenly spaced if `spacing` is given.
     spacing
-        In what the steps are made equal; None to take the positions as they are.
+        The measure in which the steps are made equal; None to keep the positions.
     linear
-        Whether to add the control in even steps of loadings.
+        Whether to add the control with even steps of loadings.
     """
 
     yield Step("space", 0, 1)
@@ -201,7 +201,7 @@ def spaced_series(
 
 
 def continuum_drawings(line: Line, name: str, positions: AnyArray, spacing: str) -> list[Drawing]:
-    """Return the drawings of one series: the faces at these positions (n,) of the line."""
+    """Return the drawings of one series: the faces at the positions (n,) of the line."""
     digits = max(2, len(str(len(positions) - 1)))
     stem = "step" if name == "continuum" else name
     sd = np.where(line.model.sd[: len(line.first)] > 0, line.model.sd[: len(line.first)], 1.0)
@@ -223,7 +223,7 @@ def continuum_drawings(line: Line, name: str, positions: AnyArray, spacing: str)
 def measured_steps(
     line: Line, series: Mapping[str, AnyArray], drawings: Sequence[Drawing], spacing: str
 ) -> Steps[dict[str, list[Any]]]:
-    """Measure every step of each series: the columns of steps.csv (data_spec/steps-table.md)."""
+    """Measure every step of each series; return the columns of steps.csv (data_spec/steps-table.md)."""
     mask = line.model.mask
     jobs = [
         (name, place, start, stop)
@@ -231,7 +231,7 @@ def measured_steps(
         for place, (start, stop) in enumerate(pairwise(map(float, positions)))
     ]
     names = {(drawing.told["series"], drawing.told["step"]): drawing.name for drawing in drawings}
-    line.crossfade(0.0)  # its ends are drawn before threads share them
+    line.crossfade(0.0)  # draws the ends before threads share them
 
     def measured(job: tuple[str, int, float, float]) -> dict[str, Any]:
         name, place, start, stop = job
@@ -265,7 +265,7 @@ def measured_steps(
 
 
 def _sizes(table: Mapping[str, Sequence[Any]], spacing: str) -> list[float]:
-    """Give the size of each step in what the steps were made equal in."""
+    """Return the size of each step in the measure that was made equal."""
     if spacing == "ssim":
         return [1 - value for value in table["ssim"]]
     if spacing in ("warp", "ciede2000"):
@@ -280,7 +280,7 @@ def column_of(table: Mapping[str, Sequence[Any]], series: str, column: str) -> l
 
 
 def unevenness_of(table: Mapping[str, Sequence[Any]]) -> dict[str, float]:
-    """Give how far the step furthest from the mean is from it, for each series."""
+    """Compute the largest deviation of a step from the mean step, for each series."""
     return {
         name: unevenness(np.array(column_of(table, name, "size_of_mean")))
         for name in dict.fromkeys(table["series"])

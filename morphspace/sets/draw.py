@@ -1,7 +1,7 @@
-"""One stimulus: the picture or video of a drawing, and the sidecar that says how to make it again.
+"""Draw one stimulus, a picture or a video, and write the sidecar from which it can be drawn again (ours).
 
-What is done already is left as it is: the sidecar carries the digest of everything the stimulus was made from, and of
-the picture itself. The picture is written first, so a sidecar means that its stimulus is whole.
+A complete stimulus is kept: the sidecar holds the digest of all its sources and of the stimulus file. The stimulus is
+written first, so a sidecar implies a complete stimulus.
 """
 
 from __future__ import annotations
@@ -29,14 +29,14 @@ from morphspace.stimuli.plausibility import plausibility, plausible_limits_sd
 from morphspace.storage import digest_of_bytes, digest_of_file, digest_of_json, whole_file, write_text
 
 PERCENT_DIGITS = 6
-DECIDING = (  # entries of a sidecar; with the drawing, what a stimulus is made from
+DECIDING = (  # sidecar entries that, with the drawing, determine the bytes of a stimulus
     *("format", "version", "verb", "request", "model", "inputs", "units", "consent", "licence", "versions"),
 )
 
 
 @dataclass(frozen=True, eq=False)
 class Drawn:
-    """What came of drawing a stimulus into a file: frames, size (w, h) px, values clipped, share folded, statistics."""
+    """Result of drawing a file: frames, size (w, h) px, clipped values, folded share and image statistics."""
 
     frames: int
     size: tuple[int, int]
@@ -53,11 +53,23 @@ def make_stimulus(
     workers: int = 1,
     files: tuple[Path, Path] | None = None,
 ) -> dict[str, Any]:
-    """Make a stimulus and its sidecar in a set's folder, or keep it where it is made already; give its manifest row.
+    """Draw a stimulus and its sidecar into a folder, or keep complete ones; return the manifest row.
 
-    Parameters: `head` as `PlannedSet.sidecar_head` gives it; `workers`, how many frames of a video to draw at a time;
-    `files`, stimulus and sidecar where they are not called as in a set.
-    The same model, drawing and head give the same bytes. Raises `UnwritableFile`, and what drawing raises.
+    The same model, drawing and head give the same bytes.
+
+    Parameters
+    ----------
+    head
+        Entries that all sidecars of a set share (`PlannedSet.sidecar_head`).
+    workers
+        Number of video frames to draw in parallel.
+    files
+        Paths of stimulus and sidecar; None for their usual names in `folder`.
+
+    Raises
+    ------
+    UnwritableFile
+        If one of the files cannot be written.
     """
     path, sidecar = files or (folder / drawing.file_name, folder / f"{drawing.name}.json")
     told = {key: value for key, value in head.items() if key != "request_sha256"}
@@ -84,7 +96,7 @@ def make_stimulus(
 
 
 def made_from_of(told: Mapping[str, Any]) -> str:
-    """Give the digest of all entries of a sidecar that decide the stimulus' bytes; it can be taken of the sidecar."""
+    """Compute the digest of all sidecar entries that determine the bytes of the stimulus."""
     head = {key: told.get(key) for key in DECIDING}
     head["request_sha256"] = digest_of_json(head["request"])
     drawing = digest_of_bytes(sidecar_text(told["drawing"]).encode())
@@ -92,8 +104,9 @@ def made_from_of(told: Mapping[str, Any]) -> str:
 
 
 def _inputs_of(drawing: Drawing, inputs: Mapping[str, str]) -> dict[str, str]:
-    """Give the inputs of one stimulus: of a clip only the frame it shows, where that is one; of a long clip the rest
-    would be most of each sidecar, and the set's record has them all.
+    """Return the inputs of one stimulus; of a clip, only the frame that the stimulus shows.
+
+    The record of the set lists all frames of the clip.
     """
     own = {f"clip/{drawing.told[key]}" for key in ("frame", "original") if key in drawing.told} & set(inputs)
     return {
@@ -104,7 +117,7 @@ def _inputs_of(drawing: Drawing, inputs: Mapping[str, str]) -> dict[str, str]:
 
 
 def _told(drawing: Drawing) -> dict[str, Any]:
-    """Give the drawing as its sidecar tells it: a clip's place on somebody's disk is not told."""
+    """Return the drawing as JSON for its sidecar, without the clip's path on this disk."""
     document = drawing.document()
     if drawing.placing is not None:
         words = [told_path(Path(source)) for source in drawing.placing.sources]
@@ -115,7 +128,7 @@ def _told(drawing: Drawing) -> dict[str, Any]:
 def draw_file(
     model: MorphModel, drawing: Drawing, head: Mapping[str, Any], path: Path, workers: int = 1
 ) -> Drawn:
-    """Draw a stimulus into the file `path`, with the essentials of `head` inside, and measure it."""
+    """Draw a stimulus into the file `path`, embed the essentials of `head`, and measure it."""
     folded = [0.0]
 
     def images() -> Iterator[Image]:
@@ -143,13 +156,13 @@ def draw_file(
 
 
 class _Shown:
-    """A video as a viewer sees it: read back, since an encoder for people changes the pixels."""
+    """A video as a viewer sees it, read back from its file because a lossy encoder changes the pixels."""
 
     def __init__(self, path: Path) -> None:
         self.path, self.size = path, (0, 0)
 
     def codes(self) -> Iterator[AnyArray]:
-        """Give the frames as 8-bit codes (h, w, 3)."""
+        """Yield the frames as 8-bit codes (h, w, 3)."""
         from morphspace.io.video import read_frames
 
         for image in read_frames(self.path):
@@ -158,9 +171,9 @@ class _Shown:
 
 
 def originals_of(drawing: Drawing) -> Iterator[Image] | None:
-    """Give the pictures a drawing goes back into, one a frame, or None where it stands alone.
+    """Return the original pictures for a drawing, one per frame; None if the face is not put back into pictures.
 
-    Raises `BadInput` where one is not in its clip any more, or is not the picture it was.
+    Raises `BadInput` if a picture is missing from its clip or has changed.
     """
     if drawing.placing is None:
         return None
@@ -168,27 +181,27 @@ def originals_of(drawing: Drawing) -> Iterator[Image] | None:
     places = []
     for name in drawing.placing.names:
         if name not in clip.frame_names:
-            raise BadInput(f"{drawing.name} goes back into frame {name} of {clip.name}, which is not there")
+            raise BadInput(f"{drawing.name} is put back into frame {name} of {clip.name}, which is missing")
         places.append(clip.frame_names.index(name))
     for name, digest, found in zip(
         drawing.placing.names, drawing.placing.digests, clip.subset(places).digests(), strict=True
     ):
         if found != digest:
             raise BadInput(
-                f"{drawing.name} goes back into frame {name} of {clip.name}, which is another picture than it was: "
-                f"{found[:16]}, recorded is {digest[:16]}"
+                f"{drawing.name} is put back into frame {name} of {clip.name}, which has changed: its digest is "
+                f"{found[:16]}; expected {digest[:16]}"
             )
     return clip.images(places)
 
 
 @lru_cache(maxsize=4)
 def _opened(sources: tuple[str, ...]) -> Clip:
-    """Open a clip once for all stimuli that go back into it; its pictures are checked each time."""
+    """Open a clip once for all stimuli that use its frames; the pictures are checked at each use."""
     return open_clip(sources)
 
 
 def _kept(path: Path, sidecar: Path, drawing: Drawing, made_from: str) -> dict[str, Any] | None:
-    """Give the manifest's row of a stimulus that is made already and whole; else None."""
+    """Return the manifest row of a stimulus that is complete; None otherwise."""
     if not (sidecar.exists() and path.exists()):
         return None
     try:
@@ -198,11 +211,11 @@ def _kept(path: Path, sidecar: Path, drawing: Drawing, made_from: str) -> dict[s
             return None
         return _row(drawing, document, digest_of_file(sidecar))
     except (UnreadableFile, BadInput, KeyError, IndexError, TypeError, AttributeError, ValueError):
-        return None  # cut short or damaged
+        return None  # incomplete or damaged
 
 
 def quality_of(model: MorphModel, drawing: Drawing, drawn: Drawn) -> dict[str, Any]:
-    """Give the sidecar's `quality`: what was clipped and folded, and how far out the face lies."""
+    """Return the sidecar's `quality`: clipped values, folds, and distance from the mean face."""
     tables = [
         table for table in (drawing.loadings_sd, drawing.colour_sd, drawing.outside_sd) if table is not None
     ]
@@ -220,7 +233,7 @@ def quality_of(model: MorphModel, drawing: Drawing, drawn: Drawn) -> dict[str, A
 
 
 def _row(drawing: Drawing, document: Mapping[str, Any], sidecar_sha256: str) -> dict[str, Any]:
-    """Give the manifest's row of a stimulus from its sidecar."""
+    """Return the manifest row of a stimulus from its sidecar."""
     output, quality, model = document["output"], document["quality"], document["model"]
     row: dict[str, Any] = {
         "name": drawing.name,

@@ -1,4 +1,4 @@
-"""Verbs that fill a folder of their own, as jobs of a batch: done once, recognised as done, listed in a table."""
+"""Jobs of a batch whose verb fills a folder of its own: run once, recognised when complete, and listed in a table."""
 
 from __future__ import annotations
 
@@ -14,21 +14,29 @@ from morphspace.requests import verb_named
 from morphspace.steps import Step, Steps, result_of
 from morphspace.storage import digest_of_file, json_text, write_text
 
-MARK_NAME = "batch.json"  # in the folder: what filled it, written when it was whole
+MARK_NAME = "batch.json"  # describes the job that filled the folder; written last
 MARK_FORMAT = "morphspace-batch-folder"
 MARK_VERSION = 1
 
 
 class Stopped(MorphspaceError):
-    """The batch was stopped while a folder was being filled; what is done of it stays."""
+    """The batch was stopped while a verb filled a folder; its finished files stay."""
 
 
 @dataclass(frozen=True, eq=False)
 class FolderJob:
-    """A verb that fills a folder of its own, called `name` in the batch's.
+    """A verb that fills the folder `name` inside the batch's folder.
 
-    `request` is its request, `told` the same as JSON with the recipe's words, `levels` of the factors, `made_from`
-    the digest of request, inputs and versions.
+    Attributes
+    ----------
+    request
+        The request of the verb.
+    told
+        The request as JSON, with the recipe's own paths.
+    levels
+        Level of each factor.
+    made_from
+        Digest of request, inputs and versions.
     """
 
     name: str
@@ -40,9 +48,9 @@ class FolderJob:
 
 
 def fill_folder(job: FolderJob, folder: Path, is_stopped: Callable[[], bool]) -> dict[str, Any]:
-    """Run the job's verb, or keep the folder where it is whole; give its row of the table of folders.
+    """Run the job's verb, or keep a complete folder; return its row of the table of folders.
 
-    Raises what the verb raises, and `Stopped` between two of its steps where `is_stopped` says so.
+    Raises `Stopped` between two steps of the verb if `is_stopped` returns True, and every error of the verb.
     """
     place = folder / job.name
     mark = _mark_of(place, job)
@@ -70,17 +78,17 @@ def fill_folder(job: FolderJob, folder: Path, is_stopped: Callable[[], bool]) ->
 
 
 def _run(steps: Steps[Outcome], job: FolderJob, is_stopped: Callable[[], bool]) -> Outcome:
-    """Run the work to its end unless the batch is stopped."""
+    """Run the steps to their end unless the batch is stopped."""
 
     def on_step(_: Step) -> None:
         if is_stopped():
-            raise Stopped(f"stopped while {job.name} was being filled; the same command goes on there")
+            raise Stopped(f"stopped while {job.name} was being filled. Run the same command to resume")
 
     return result_of(steps, on_step)
 
 
 def _mark_of(place: Path, job: FolderJob) -> dict[str, Any] | None:
-    """Give what was written when the folder was filled, where it was filled by this job and all of it is there."""
+    """Read the mark of a folder that this job filled and whose files are all present; None otherwise."""
     try:
         mark = read_json_object(place / MARK_NAME)
         record = read_json_object(place / RECORD_NAME)

@@ -1,4 +1,4 @@
-"""A folder of a measured imitation: measures, loadings of both, a video side by side and a page (Nagle section 5.1)."""
+"""Write a measured imitation: measures, both sets of loadings, a side-by-side video and a page (Nagle section 5.1)."""
 
 from __future__ import annotations
 
@@ -48,9 +48,7 @@ from morphspace.stimuli.table_checks import check_reach
 from morphspace.storage import digest_of_file, make_folder, write_text
 
 VERB = "measure-mimicry"
-WORK_FOLDER = (
-    f"{VERB}.work"  # there while files are written: a folder that a stopped run leaves is known by it
-)
+WORK_FOLDER = f"{VERB}.work"  # exists while files are written; marks the folder of a stopped run
 WRITTEN = (
     "measures.csv",
     "measures.json",
@@ -63,18 +61,35 @@ WRITTEN = (
     RECORD_NAME,
 )
 ROLES = "stimulus", "imitation"
-UNSHOWN = "notes", "mask", "region", "outside_space", "still", "frames_without_face", "least_p"  # as settings
+NOT_ON_PAGE = (
+    "notes",
+    "mask",
+    "region",
+    "outside_space",
+    "still",
+    "frames_without_face",
+    "least_p",
+)  # not listed as settings
 PAIRS_SHOWN = 8
 GAP_PX = 4  # between the panels of the video
 
 
 @dataclass(frozen=True)
 class MeasureSettings:
-    """How an imitation is measured.
+    """Settings of the measurement of an imitation.
 
-    `components` the first so many (None: all both have) | `permutations` of the chance level, drawn with `seed` |
-    `mask` a grey picture on the mean face, or `region` by name: both sequences are measured from that part alone |
-    `imitator` the model of who imitates, where that is another person.
+    Attributes
+    ----------
+    components
+        Number of first components; None for all that both sequences have.
+    permutations
+        Number of permutations for the chance level, drawn with `seed`.
+    mask
+        A grey picture on the mean face; both sequences are measured from this part of the face alone.
+    region
+        The same part by name.
+    imitator
+        Model of the imitating person if that is another person.
     """
 
     components: int | None = None
@@ -87,7 +102,7 @@ class MeasureSettings:
 
 @dataclass(frozen=True, eq=False)
 class WrittenImitation:
-    """What was measured and written: `told` in measures.json, `still` and `notes` to read first, `files`."""
+    """A measured imitation: `told` are the entries of measures.json; `still` and `notes` are read first."""
 
     comparison: Comparison
     told: dict[str, object]
@@ -98,7 +113,7 @@ class WrittenImitation:
 
 @contextmanager
 def mark_of(folder: Path) -> Iterator[None]:
-    """Take away, however the block ends, the mark of a run that was begun, unless it left something of ours here."""
+    """Mark the folder as begun; remove the mark at the end unless files of ours were left behind."""
     try:
         yield
     finally:
@@ -116,9 +131,12 @@ def written_imitation(
     asked: MeasureSettings,
     detector: Detector | None,
 ) -> Steps[WrittenImitation]:
-    """Measure how the imitation follows the stimulus, each a clip or a table, and write all into the folder.
+    """Measure how an imitation follows a stimulus, each a clip or a table, and write all results into the folder.
 
-    Returns a `WrittenImitation`. Raises `BadInput` where one of them cannot be read or does not belong to the model.
+    Raises
+    ------
+    BadInput
+        If a sequence cannot be read or does not belong to the model.
     """
     share_seen = share_of(model, asked.mask, asked.region)
     part = part_of(model, share_seen)
@@ -163,7 +181,7 @@ def written_imitation(
     video = folder / VIDEO_NAME
     panels, pairs = yield from _drawn(model, stimulus, imitation, a_sd, drawn_sd, rate_hz, video)
     if moved.any():
-        panels = (*panels, "the imitation is drawn about the stimulus' mean")
+        panels = (*panels, "the imitation is drawn around the stimulus' mean")
     names = component_names(k)
     reasons = reasons_of(comparison, a_sd, b_sd)
     part_name = str(asked.mask) if asked.mask else asked.region
@@ -263,7 +281,7 @@ def _drawn(
     rate_hz: float | None,
     path: Path,
 ) -> Steps[tuple[tuple[str, ...], list[tuple[str, Image, Image]]]]:
-    """Write the video; give the names of its panels and a few pairs of faces."""
+    """Write the video; return the names of its panels and a few pairs of faces."""
     n, k = min(len(a_sd), len(b_sd)), a_sd.shape[1]
     sd = model.sd[:k]
     yield Step("video", 0, n)
@@ -295,7 +313,7 @@ def _drawn(
 
 
 def of_height(image: Image, height: int) -> Image:
-    """Give a picture (h, w, 3) at this height, its proportions kept."""
+    """Resize a picture (h, w, 3) to this height, px, with its proportions kept."""
     if image.shape[0] == height:
         return image
     width = max(1, round(image.shape[1] * height / image.shape[0]))
@@ -310,7 +328,7 @@ def _settings_shown(
     shown = {
         key.replace("_", " "): "not known" if value is None else str(value)
         for key, value in told.items()
-        if key not in UNSHOWN
+        if key not in NOT_ON_PAGE
     }
     where = f"the mask {asked.mask.name}" if asked.mask else asked.region
     if part is not None:

@@ -1,7 +1,4 @@
-"""What many requests in one process ask again: digests of files that did not change, and clips encoded already.
-
-A batch plans a request a job, and its jobs share a few models, tables and clips.
-"""
+"""Cache what several jobs of a batch share: digests of unchanged files, and encoded clips."""
 
 from __future__ import annotations
 
@@ -28,9 +25,9 @@ Encoded = tuple[
 
 
 def digest_of_kept(path: Path) -> str:
-    """Give the SHA-256 of a file, taken again only where its size or its time of change is another.
+    """Return the SHA-256 of a file; compute it again only if the file's size or time of change differs.
 
-    Raises `UnreadableFile`.
+    Raises `UnreadableFile` if the file cannot be read.
     """
     try:
         found = path.stat()
@@ -41,7 +38,7 @@ def digest_of_kept(path: Path) -> str:
 
 @lru_cache(maxsize=256)
 def _digest(path: Path, size: int, changed_ns: int) -> str:
-    del size, changed_ns  # they are the key's business
+    del size, changed_ns  # they only serve as the cache's key
     return digest_of_file(path)
 
 
@@ -49,9 +46,14 @@ _ENCODED: OrderedDict[tuple[object, ...], Encoded] = OrderedDict()
 
 
 def encoded_clip(model: MorphModel, source: FramedClip) -> Steps[Encoded]:
-    """Encode a clip, or give what was found when the same pictures were encoded before with the same model.
+    """Encode a clip, or reuse the result for the same pictures and model.
 
-    Returns loadings (n, k) and where the faces are: (n, 2, 3), from a point of the aligned picture to the original's.
+    Returns
+    -------
+    loadings
+        n rows of k loadings.
+    registrations
+        (n, 2, 3), from points of the aligned picture to points of the original picture, px.
     """
     key = (model.model_id, source.digests, source.names)
     if key not in _ENCODED:
@@ -68,7 +70,7 @@ def encoded_clip(model: MorphModel, source: FramedClip) -> Steps[Encoded]:
 
 
 def aligned_clip(model: MorphModel, source: FramedClip) -> Steps[AnyArray]:
-    """Give where the faces are in their frames, (n, 2, 3), without reading their expressions."""
+    """Return the positions of the faces in their frames, (n, 2, 3), without encoding their expressions."""
     registrations: list[AnyArray] = []
     indices = list(range(len(source.names)))
     items = zip(source.names, source.images(indices), strict=True)

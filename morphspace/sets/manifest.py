@@ -1,6 +1,6 @@
-"""The table of a stimulus set: `manifest.csv`, one row a stimulus, and `manifest.json`, what each column means.
+"""The table of a stimulus set: `manifest.csv` has one row per stimulus, `manifest.json` explains each column.
 
-In the manner of Psych-DS: a plain CSV beside a schema.org `Dataset` whose `variableMeasured` describes every column
+The format follows Psych-DS: a plain CSV beside a schema.org `Dataset` whose `variableMeasured` describes every column
 with its unit (`data_spec/manifest.md`).
 """
 
@@ -23,7 +23,7 @@ MANIFEST_NAME = "manifest.csv"
 
 @dataclass(frozen=True)
 class Column:
-    """What a column of the manifest means, and its unit, None where it has none."""
+    """The meaning of a manifest column, and its unit; None for a column without a unit."""
 
     description: str
     unit: str | None = None
@@ -93,7 +93,7 @@ TOLD_COLUMNS: Mapping[str, Column] = {
     "step": Column("The step along a continuum, from 0"),
     "original": Column("The original frame the face was put back into"),
 }
-"""What verbs tell of their stimuli; a verb may describe more of its own."""
+"""Columns that verbs add to their stimuli; a verb may describe further ones."""
 
 
 def write_manifest(
@@ -102,17 +102,28 @@ def write_manifest(
     columns: Mapping[str, Column],
     document: Mapping[str, Any],
 ) -> tuple[Path, Path]:
-    """Write the manifest of a set: rows (one a stimulus), and the columns' meaning beside it.
+    """Write the manifest of a set and the description of its columns.
 
-    `columns` are those the rows may hold beyond the usual ones, in their order; `document` is what else to say of the
-    set. A column that no row holds is left out. Raises `BadInput` where a row holds an entry that nothing describes.
+    Parameters
+    ----------
+    rows
+        One mapping per stimulus. Columns without any entry are omitted.
+    columns
+        Columns beyond the usual ones, in their order.
+    document
+        Further entries of manifest.json.
+
+    Raises
+    ------
+    BadInput
+        If a row holds an entry without a description.
     """
     known = {**FIRST_COLUMNS, **columns, **LAST_COLUMNS}
     held = {key for row in rows for key in row}
     unknown = sorted(held - set(known))
     if unknown:
         raise BadInput(
-            f"the manifest has no description of {unknown[0]!r}: describe it among the set's columns"
+            f"the manifest's column {unknown[0]!r} has no description. Add it to the set's columns"
         )
     names = [name for name in known if name in held]
     table = folder / MANIFEST_NAME
@@ -136,13 +147,13 @@ def _property(name: str, column: Column) -> dict[str, str]:
 
 
 def described_columns(told: Iterable[str], more: Mapping[str, Column]) -> dict[str, Column]:
-    """Give what the told entries mean, in their order. Raises `BadInput` where nothing describes one."""
+    """Return the descriptions of the drawings' entries, in order. Raises `BadInput` for an entry without one."""
     found = {}
     for key in told:
         if key in FIRST_COLUMNS or key in LAST_COLUMNS:
-            raise BadInput(f"the column {key!r} is one of the manifest's own: give it another name")
+            raise BadInput(f"the column {key!r} is one of the manifest's own. Give it another name")
         column = more.get(key) or TOLD_COLUMNS.get(key)
         if column is None:
-            raise BadInput(f"the column {key!r} needs a description: describe it among the set's columns")
+            raise BadInput(f"the column {key!r} has no description. Add it to the set's columns")
         found[key] = column
     return found

@@ -1,8 +1,8 @@
-"""A folder of mimicry: pictures, side-by-side video, tables and page of one person driving another (Nagle section 3).
+"""Write the mimicry of one person by another: pictures, video, tables and page (Nagle section 3).
 
-Frames are drawn a few at a time, and none of them twice.
-What is finished is kept in the output folder until all is, under a name made of everything it depends on, so that a run
-that was stopped goes on where it was. The video shows the pictures as they were written, in a pass of its own.
+Frames are drawn a few at a time, each of them once. Finished frames stay in the output folder under a name derived
+from everything they depend on, so a stopped run resumes. The video is made in a second pass from the written
+pictures.
 """
 
 from __future__ import annotations
@@ -56,19 +56,21 @@ from morphspace.transfer.neutral import AUTOMATIC, Neutral, neutral_names, neutr
 from morphspace.transfer.quality import Quality, Reach, ReachOf, reach_of
 from morphspace.transfer.quality_table import FaceSeen, FrameMade, made_of, quality_columns, write_quality
 
-BEST = "auto"  # the default: the method that measured best of those the models allow
+BEST = "auto"  # the default: the most accurate method that the models allow
 MAX_SD = 3.0
-MOST_GAIN = 1000.0  # a caricature is 2; with far more every frame shows the same bounded face
-LEAST_SD, MOST_SD = 0.001, 1000.0  # faces lie inside 3
+MOST_GAIN = (
+    1000.0  # factor; a caricature has 2, and far larger gains show the same bounded face in every frame
+)
+LEAST_SD, MOST_SD = 0.001, 1000.0  # SD; faces lie within 3
 WORK_FORMAT = "morphspace-mimic-frame-4"
-MARK_NAME = "begun"  # says that the pictures are ours before there is one
+MARK_NAME = "begun"  # marks the folder as ours before the first picture is written
 GAP_PX = 4  # between the panels of the video
 THUMBNAIL_WIDTH_PX = 132
 
 
 @dataclass(frozen=True, eq=False)
 class FinishedFrames:
-    """The finished frames of this request in the output folder, each under a name made of all it depends on."""
+    """The finished frames of this request in the output folder; the name of each depends on all its sources."""
 
     folder: Path
     common: list[Any]
@@ -81,7 +83,7 @@ class FinishedFrames:
         return cache.result_file(self.folder, WORK_FORMAT, self.common, names, versions(), *own)
 
     def read(self, place: int) -> FrameMade | None:
-        """Return a frame that was finished before, or None where its row or its picture is missing or has changed."""
+        """Read a frame finished before; None if its row or its picture is missing or has changed."""
         file, picture = self.file(place), self.pictures[place]
         if not (picture.is_file() and cache.is_finished(file)):
             return None
@@ -93,9 +95,9 @@ class FinishedFrames:
 
     @contextmanager
     def begun(self) -> Iterator[None]:
-        """Leave a mark before there is any picture, and take it away where the block ends without one.
+        """Mark the folder before the first picture, and remove the mark if the block ends without one.
 
-        A run that failed or was stopped goes on in a folder with the mark (`mimic_folder.check_ours`).
+        A failed or stopped run resumes in a folder with the mark (`protect.check_ours`).
         """
         mark = self.folder / MARK_NAME
         write_text(mark, "")
@@ -106,7 +108,7 @@ class FinishedFrames:
                 mark.unlink(missing_ok=True)
 
     def remove(self) -> None:
-        """Remove what is finished and recorded, of this request and of earlier ones that were stopped."""
+        """Remove finished frames and rows of this request and of earlier stopped ones."""
         (self.folder / MARK_NAME).unlink(missing_ok=True)
         cache.forget(self.folder)
 
@@ -114,9 +116,9 @@ class FinishedFrames:
 def frame_steps(
     source: MorphModel, make: Mimic, reach: ReachOf, work: FinishedFrames, detect: Detector | None
 ) -> Steps[list[FrameMade]]:
-    """Make each frame that is not there yet and write its picture, a few at a time; give what became of each.
+    """Draw and write each missing frame, a few at a time; return the result of each.
 
-    A detector that aligns the source's frames too looks at each driving frame once.
+    A detector that also aligns the source's frames examines each driving frame once.
     """
     driver, total = work.driver, len(work.pictures)
     read = source.basis.inner_products()
@@ -125,7 +127,7 @@ def frame_steps(
     if made:
         yield Step("mimic", len(made), total)
     if missing:
-        # What they prepare on first use, they prepare here, not in each thread.
+        # Caches are filled here once, not in each thread.
         make(source.offset(np.zeros(0)), np.zeros(source.rank))
         if driver.is_pictures:
             _ = source.flow_from_reference, read.weighted
@@ -150,7 +152,7 @@ def frame_steps(
         Generator[tuple[int, FrameMade]],
         in_order(one_frame, zip(missing, driver.given(missing), strict=True)),
     )
-    with work.begun(), closing(under_way):  # the threads have ended before it is looked what they left
+    with work.begun(), closing(under_way):  # the threads end before the folder is inspected
         for place, one in under_way:
             work.write(place, one)
             made[place] = one
@@ -159,10 +161,10 @@ def frame_steps(
 
 
 def _seen(points: FacePoints | None, driver: Driver) -> FaceSeen | None:
-    """Say what was found in a driving frame; None where nothing can be said.
+    """Return the face found in a driving frame; None if no statement is possible.
 
-    A training frame is looked at as its loadings draw it. It is known to be a face, so one that is not found there is a
-    matter of the drawing.
+    A training frame is examined as drawn from its loadings. It is known to be a face, so a missed detection is due to
+    the drawing.
     """
     if points is None:
         return FaceSeen(found=False) if driver.is_pictures else None
@@ -175,7 +177,7 @@ def _seen(points: FacePoints | None, driver: Driver) -> FaceSeen | None:
 def video_steps(
     driver: Driver, pictures: Sequence[Path], video: Path
 ) -> Steps[list[tuple[str, Image, Image]]]:
-    """Write the video of source beside mimicry; give small pairs of a few frames for the page."""
+    """Write the video of source beside mimicry; return small pairs of a few frames for the page."""
     total = len(pictures)
     shown = set(np.linspace(0, total - 1, min(total, PAIRS_SHOWN)).round().astype(int).tolist())
     pairs: list[tuple[str, Image, Image]] = []
@@ -202,7 +204,7 @@ def video_steps(
 
 
 def _of_width(image: Image, width: int) -> Image:
-    """Give an image (h, w, 3) at this width."""
+    """Resize an image (h, w, 3) to this width, px."""
     height = max(1, round(image.shape[0] * width / image.shape[1]))
     method = cv2.INTER_AREA if width < image.shape[1] else cv2.INTER_CUBIC
     scaled = cv2.resize(image, (width, height), interpolation=method)
@@ -219,26 +221,27 @@ def _of_height(image: Image, height: int) -> Image:
 
 @dataclass(frozen=True, eq=False)
 class MimicSettings:
-    """How one person drives another.
+    """Settings of the mimicry of one person by another.
 
-    Parameters
+    Attributes
     ----------
     method
-        One of `METHODS`, or "auto": `guided` where both models know their landmarks, else `transfer`.
+        One of `METHODS`, or "auto": `guided` if both models have landmarks, else `transfer`.
     gain
-        Factor of the loadings; "auto" so that the target moves as far as the source (`transfer.mimicry.auto_gain`);
-        None for "auto" with `guided` and `transfer`, and 1 with the others.
+        Factor of the loadings. With "auto" the target moves as far as the source (`transfer.mimicry.auto_gain`). None
+        is
+        "auto" for `guided` and `transfer`, and 1 for the other methods.
     max_sd
-        Bound of each loading, in SD.
+        Bound of each loading, SD.
     components
-        The target's first so many; None for all.
+        Number of the target's first components; None for all.
     neutral
-        The neutral faces of both (`transfer.neutral.neutral_of`).
+        The neutral faces of both persons (`transfer.neutral.neutral_of`).
 
     Raises
     ------
     BadInput
-        Where a setting cannot be used.
+        If a setting is outside its range.
     """
 
     method: str = BEST
@@ -249,17 +252,15 @@ class MimicSettings:
 
     def __post_init__(self) -> None:
         if self.method not in (BEST, *METHODS):
-            raise BadInput(
-                f"there is no mimicry by {self.method!r}: choose {BEST}, or one of {', '.join(METHODS)}"
-            )
+            raise BadInput(f"the method is {self.method!r}; expected {BEST}, or one of {', '.join(METHODS)}")
         if isinstance(self.gain, float | int) and not abs(self.gain) <= MOST_GAIN:
             raise BadInput(
-                f"--gain {self.gain:g} cannot be used: give a number from {-MOST_GAIN:g} to {MOST_GAIN:g}, 1 for the "
-                "motion as it is"
+                f"--gain is {self.gain:g}; expected a number from {-MOST_GAIN:g} to {MOST_GAIN:g}, such as 1 for the "
+                "unchanged motion"
             )
         if not LEAST_SD <= self.max_sd <= MOST_SD:
             raise BadInput(
-                f"--max-sd {self.max_sd:g} cannot be used: give a number from {LEAST_SD:g} to {MOST_SD:g}, such as "
+                f"--max-sd is {self.max_sd:g}; expected a number from {LEAST_SD:g} to {MOST_SD:g}, such as "
                 f"{MAX_SD:g}"
             )
         check_components(self.components)
@@ -268,7 +269,7 @@ class MimicSettings:
 
 @dataclass(frozen=True, eq=False)
 class WrittenMimicry:
-    """What was written: `settings` of the record, `columns` of quality.csv, `notes` to act on, `files`."""
+    """A written mimicry: `settings` of the record, `columns` of quality.csv, `notes` for the user, and `files`."""
 
     settings: Mapping[str, Any]
     columns: Mapping[str, list[Any]]
@@ -278,7 +279,7 @@ class WrittenMimicry:
 
 @dataclass(frozen=True, eq=False)
 class _Drive:
-    """A pair of models that is ready: the `target` with the components that are used, the way to it, and its notes."""
+    """A prepared pair of models: the `target` with its selected components, the mimicry and its notes."""
 
     target: MorphModel
     method: Method
@@ -299,19 +300,19 @@ def written_mimicry(
     detector: Detector | None,
     inputs: Sequence[Path] = (),
 ) -> Steps[WrittenMimicry]:
-    """Drive the target with each frame and write pictures, video, tables, page and record into the folder.
+    """Drive the target with each frame; write pictures, video, tables, page and record into the folder.
 
     Parameters
     ----------
     detector
-        Looks for a face in each driving frame; None where that is not possible.
+        Searches each driving frame for a face; None if no detector is available.
     inputs
-        Files that are read beside those of the driver; none of them may be replaced.
+        Files read beside those of the driver; none of them may be replaced.
 
     Raises
     ------
     BadInput
-        Where an input would be lost, or the models cannot be linked.
+        If an input would be replaced, or the models cannot be linked.
     """
     pictures = tuple(folder / MIMIC_FRAMES / name for name in picture_names(driver.names))
     video, page = folder / VIDEO_NAME, folder / "index.html"
@@ -375,7 +376,7 @@ def written_mimicry(
 
 
 def _drive(source: UsedModel, target: UsedModel, asked: MimicSettings) -> _Drive:
-    """Choose the method, what counts as neutral and the gain, and prepare both models."""
+    """Choose method, neutral faces and gain, and prepare both models."""
     used, rank_notes = first_components(target.model, asked.components)
     method, method_notes = _method(source, target, asked)
     neutral = neutral_of(source.model, used, asked.neutral)
@@ -393,7 +394,7 @@ def _identified(used: UsedModel) -> dict[str, str]:
 
 
 def _method(source: UsedModel, target: UsedModel, asked: MimicSettings) -> tuple[Method, tuple[str, ...]]:
-    """Give the method, and a note where a better one wants something."""
+    """Choose the method, and note what a better method requires."""
     for method in METHODS:
         if method == asked.method:
             if method == "guided":
@@ -404,16 +405,16 @@ def _method(source: UsedModel, target: UsedModel, asked: MimicSettings) -> tuple
     if not unlearned:
         return "guided", ()
     ways = "; ".join(
-        f"{used.path.name} does not know its landmarks: {how_to_learn(used.model, used.path.name)}"
+        f"{used.path.name} has no landmarks: {how_to_learn(used.model, used.path.name)}"
         for used in unlearned.values()
     )
-    return "transfer", (f"the method is transfer, not guided, which follows lids and lips better: {ways}",)
+    return "transfer", (f"the method is transfer; guided follows lids and lips better, but {ways}",)
 
 
 def _write_loadings(
     path: Path, loadings_sd: AnyArray, target: UsedModel, source: UsedModel, driver: Driver
 ) -> tuple[Path, Path]:
-    """Write the loadings in SD of the target, with a sidecar as `encode` does, and whose motion it was."""
+    """Write the loadings in SD of the target, with a sidecar as of `encode` that also names the source."""
     model = target.model
     document = {
         "model_id": model.model_id,
@@ -436,7 +437,7 @@ def _size_note(source: MorphModel, target: MorphModel) -> tuple[str, ...]:
         return ()
     return (
         f"{source.identity} has frames of {source.size[0]}x{source.size[1]}, {target.identity} of {target.size[0]}x"
-        f"{target.size[1]}: what is carried over is resampled to the latter",
+        f"{target.size[1]}: the motion is resampled to the latter",
     )
 
 
@@ -452,8 +453,8 @@ def _stale_note(folder: Path, pictures: Sequence[Path]) -> tuple[str, ...]:
     if not others:
         return ()
     return (
-        f"the folder {folder.name} holds {len(others)} other pictures, such as {others[0]}: an earlier run "
-        "left them there",
+        f"the folder {folder.name} holds {len(others)} other pictures, such as {others[0]}, from "
+        "an earlier run",
     )
 
 

@@ -1,4 +1,4 @@
-"""The models that a set starts from: opened from a file, or built from a clip and written with their report."""
+"""Open the models of a set from files, or build them from clips and write them with their reports."""
 
 from __future__ import annotations
 
@@ -29,12 +29,12 @@ from morphspace.storage import digest_of_file, make_folder
 from morphspace.transfer.driver import UsedModel
 
 MODEL_SUFFIX = ".morph"
-LOOKED_AT = 9  # frames of a clip, for a face
+LOOKED_AT = 9  # frames of a clip that are searched for a face
 
 
 @dataclass(frozen=True, eq=False)
 class WrittenModel:
-    """A model that was built and written: its build, figures of each frame as a `Case`, notes on the clip's frames."""
+    """A model that was built and written: its build, the figures of each frame as a `Case`, and notes on the frames."""
 
     build: Build
     case: Case
@@ -44,7 +44,7 @@ class WrittenModel:
 def written_model(
     clip: Clip, settings: ClipSettings, output: Path, report: Path, work_folder: Path
 ) -> Steps[WrittenModel]:
-    """Build a model from a clip, and write it and its report. Return a `WrittenModel`."""
+    """Build a model from a clip; write the model and its report."""
     build, notes = yield from build_clip(clip, settings, work_folder)
     figures = yield from measure_frames(build)
     build.model.save(output)
@@ -56,48 +56,46 @@ def written_model(
 
 
 def check_landmarks(used: UsedModel | Clip) -> None:
-    """Raise `BadInput` with what helps where a model that is to guide does not know its landmarks, or cannot learn
-    them.
-    """
+    """Check that a model for guided mimicry has landmarks or can learn them. Raises `BadInput` with the remedy."""
     if isinstance(used, Clip):
         if len(used) < LEAST_FACES:
             raise BadInput(
-                f"--method guided needs landmarks, and the {len(used)} frames of {used.name} are too few to learn them "
-                f"from: give at least {LEAST_FACES}, or choose another method"
+                f"--method guided needs landmarks, but {used.name} has {len(used)} frames; expected at least "
+                f"{LEAST_FACES}. Give more frames, or choose another method"
             )
     elif used.model.landmarks is None:
         raise BadInput(
-            f"--method guided needs landmarks, and {used.path} does not know them: "
+            f"--method guided needs landmarks, but {used.path} has none: "
             f"{how_to_learn(used.model, str(used.path))}, or choose another method"
         )
 
 
 def opened_model(role: str, given: str, detector: Detector | None) -> UsedModel | Clip:
-    """Open a model or a clip and check, before any work, that it has or can get keypoints. Raises `BadInput`."""
+    """Open a model or a clip; check, before any work, that it has keypoints or can get them. Raises `BadInput`."""
     path = Path(given)
     if path.suffix.lower() == MODEL_SUFFIX and not path.exists():
         raise BadInput(
-            f"{role} {path} does not exist: give a model ({MODEL_SUFFIX}), or a clip to build one of"
+            f"{role} {path} does not exist. Give a model ({MODEL_SUFFIX}), or a clip to build one from"
         )
     if path.suffix.lower() == MODEL_SUFFIX and not path.is_dir():
         check_content(path)
         model = load_model(path)
         if model.faceframe is None:
             raise BadInput(
-                f"{role} {path} has no keypoints: set them with `morphspace keypoints {path} --auto`, or with --set or "
+                f"{role} {path} has no keypoints. Set them with `morphspace keypoints {path} --auto`, or with --set or "
                 "--from"
             )
         return UsedModel(model, path, digest_of_file(path))
     if path.is_file() and path.suffix.lower() not in VIDEO_SUFFIXES:
         raise BadInput(
-            f"{role} {path} is one file: give a model ({MODEL_SUFFIX}), or a folder, a quoted pattern or a video to "
-            "build one of"
+            f"{role} {path} is one file. Give a model ({MODEL_SUFFIX}), or a folder, a quoted pattern or a video to "
+            "build one from"
         )
     clip = open_clip([given])
     if len(clip) < MIN_FRAMES:
         raise BadInput(
-            f"{role} {given} is a clip of {len(clip)} frame{'s' if len(clip) > 1 else ''}, too few for a model: "
-            f"give at least {MIN_FRAMES}, better some hundred, or a model ({MODEL_SUFFIX})"
+            f"{role} {given} is a clip of {len(clip)} frame{'s' if len(clip) > 1 else ''}, too few for a model. "
+            f"Give at least {MIN_FRAMES}, better some hundred, or a model ({MODEL_SUFFIX})"
         )
     if clip.sidecar.faceframe is None and detector is None:
         raise BadInput(
@@ -110,10 +108,10 @@ def opened_model(role: str, given: str, detector: Detector | None) -> UsedModel 
 def check_faces(
     role: str, clip: Clip, folder: Path, components: int | None, detector: Detector | None
 ) -> None:
-    """Raise `BadInput` where the keypoints of a clip's model are to be found and its frames show the detector no face.
+    """Check that the detector finds a face in a clip from whose frames the keypoints are found.
 
-    A few frames are looked at, before the minutes of a build. A model of the clip that lies in `folder` is taken as it
-    is, so that one whose keypoints were set by hand is.
+    A few frames are examined before the minutes of a build. A model of the clip in `folder` is accepted as it is, so
+    keypoints set by hand are kept. Raises `BadInput`.
     """
     if detector is None or clip.sidecar.faceframe is not None:
         return
@@ -122,8 +120,8 @@ def check_faces(
     places = spread(len(clip.frame_names), LOOKED_AT)
     if not any(detector(picture) is not None for picture in clip.images([int(place) for place in places])):
         raise BadInput(
-            f"{role} {clip.name} is a clip, and none of {len(places)} frames spread over it shows a face, which the "
-            "keypoints of its model are found in: give a clip of a face, mark a faceframe in its clip.json, or give a "
+            f"{role} {clip.name} is a clip, but none of {len(places)} frames spread over it shows a face, from which "
+            "the keypoints are found. Give a clip of a face, mark a faceframe in its clip.json, or give a "
             "model with keypoints (`morphspace keypoints`)"
         )
 
@@ -131,9 +129,9 @@ def check_faces(
 def ready_model(
     given: UsedModel | Clip, folder: Path, components: int | None, detector: Detector | None
 ) -> Steps[UsedModel]:
-    """Give the model, found in `folder` or built into it where a clip was given, with keypoints. A generator of steps.
+    """Return the model with keypoints, built into `folder` if a clip was given.
 
-    A model there is taken where its clip's digests, its settings and the version are the same.
+    A model in `folder` is reused if its clip's digests, its settings and the versions are the same.
     """
     if isinstance(given, UsedModel):
         return given
@@ -161,7 +159,7 @@ def ready_model(
 
 
 def _found(clip: Clip, folder: Path, components: int) -> tuple[Path, MorphModel | None]:
-    """Give the model built of this clip with these settings, or the free name for one."""
+    """Return the model of this clip with these settings and its path; without one, None and a free path."""
     inputs = dict(zip(clip.frame_names, clip.digests(), strict=True))
     size = default_size(clip.size, None)
     number = 1
@@ -190,17 +188,18 @@ def _found(clip: Clip, folder: Path, components: int) -> tuple[Path, MorphModel 
 
 @contextlib.contextmanager
 def held_models(paths: Sequence[Path]) -> Iterator[list[Path]]:
-    """Give copies of model files for as long as they are needed, checked to be whole. Raises `BadInput`.
+    """Yield copies of model files for the duration of the block. Raises `BadInput` if a copy is incomplete.
 
-    A model is read from its file as it is used. One that is written anew or cut short meanwhile would change under the
-    blend, or end the process.
+    A model file is read while it is used. Replacing or truncating the original during a blend would change the result
+    or end the process.
     """
     with tempfile.TemporaryDirectory(prefix="morphspace-", ignore_cleanup_errors=True) as folder:
         held = []
         for number, path in enumerate(paths):
             if path.suffix.lower() != MODEL_SUFFIX or path.is_dir():
                 raise BadInput(
-                    f"{path} is no {MODEL_SUFFIX} file: build a model of a clip first with `morphspace build-model`"
+                    f"{path} is not a {MODEL_SUFFIX} file. Build a model of the clip first with `morphspace "
+                    "build-model`"
                 )
             check_content(path)
             copy = Path(folder) / f"{number}{MODEL_SUFFIX}"
@@ -208,11 +207,11 @@ def held_models(paths: Sequence[Path]) -> Iterator[list[Path]]:
                 shutil.copyfile(path, copy)
             except OSError as error:
                 raise UnreadableFile(
-                    f"cannot copy {path} to {folder}, where it is held while it is blended: {error.strerror or error}"
+                    f"cannot copy {path} to the temporary folder {folder}: {error.strerror or error}"
                 ) from error
             if not _is_unchanged(copy):
                 raise UnreadableFile(
-                    f"{path} was changed while it was read ({copy.stat().st_size} bytes came of it): let the program "
+                    f"{path} changed while it was read ({copy.stat().st_size} bytes were copied). Let the program "
                     "that writes it finish, then start again"
                 )
             held.append(copy)

@@ -1,4 +1,4 @@
-"""Recorded motion as data: read from tables of loadings, worked on, and described for a manifest (ours)."""
+"""Recorded motion as data: read tables of loadings, apply operations, and describe the result (ours)."""
 
 from __future__ import annotations
 
@@ -23,8 +23,8 @@ from morphspace.stimuli.operations import Motion, Operation, operations_of, work
 from morphspace.stimuli.table_checks import check_table
 from morphspace.stimuli.trajectory import step_lengths
 
-LEAST_FRAMES = 2  # of a motion
-JUMP = 1.0 + 1e-6  # median steps: a loop that closes with more jumps
+LEAST_FRAMES = 2  # frames of a motion
+JUMP = 1.0 + 1e-6  # median steps; a larger closing step is a visible jump
 STEP_DIGITS = 6
 COLUMNS: Mapping[str, Column] = {
     "tables": Column("The tables of loadings the motion was made from"),
@@ -40,7 +40,7 @@ COLUMNS: Mapping[str, Column] = {
 
 @dataclass(frozen=True, eq=False)
 class MadeMotions:
-    """The motions that come of some tables: the tables' `names` and digests (`inputs`), and notes to act on."""
+    """The motions made from tables: the tables' `names`, their digests (`inputs`), and notes for the user."""
 
     names: tuple[str, ...]
     motions: tuple[Motion, ...]
@@ -57,29 +57,29 @@ def made_motions(
     frame_rate_hz: float | None = None,
     seed: int = 0,
 ) -> Steps[MadeMotions]:
-    """Read the motions of tables and do the operations to them. Return `MadeMotions`.
+    """Read motions from tables and apply the operations.
 
     Parameters
     ----------
     words
         The operations as words or mappings (`stimuli.motion_words`).
     guide_path
-        The table whose timing is taken, or with whose motion a single table is compared.
+        The table that provides the timing, or with whose motion a single table is compared.
     frame_rate_hz
-        Of the tables; None for what they say.
+        Frame rate of the tables; None to use the rate in their sidecars.
 
     Raises
     ------
     BadInput
-        Where a table, an operation or a number cannot be used.
+        If a table, an operation or a number cannot be used.
     """
     operations = operations_of(words)
     if not tables:
-        raise BadInput("no table was given: give the loadings of at least one motion (.csv)")
+        raise BadInput("no table was given. Give the loadings of at least one motion (.csv)")
     if seed < 0:
-        raise BadInput(f"a seed of {seed} cannot be used: give a whole number of at least 0")
+        raise BadInput(f"the seed is {seed}; expected a whole number of at least 0")
     if frame_rate_hz is not None and not 0 < frame_rate_hz <= 1000:
-        raise BadInput(f"a frame rate of {frame_rate_hz} Hz cannot be shown: give one above 0, at most 1000")
+        raise BadInput(f"the frame rate is {frame_rate_hz} Hz; expected above 0, at most 1000")
     paths = [*tables, *([] if guide_path is None else [guide_path])]
     read = []
     for path in paths:
@@ -91,7 +91,7 @@ def made_motions(
     guide = None if guide_path is None else found.pop()
     if guide is not None and not any(one.word in GUIDED for one in operations):
         raise BadInput(
-            f"{guide_path} is the guide, and no operation takes one: add {' or '.join(GUIDED)}, or leave it "
+            f"{guide_path} is the guide, but no operation uses one. Add {' or '.join(GUIDED)}, or leave it "
             "out"
         )
     motions = [replace(motion, name=name) for motion, name in zip(found, names, strict=True)]
@@ -106,27 +106,27 @@ def made_motions(
 
 
 def _motion(path: Path, model: MorphModel, rate_hz: float | None) -> tuple[Motion, tuple[str, ...]]:
-    """Read a motion and check that it belongs to the model; give what to note of it too."""
+    """Read a motion, check that it belongs to the model, and return it with notes."""
     table = read_loadings_table(path)
     notes = check_table(model, table, path)
     if len(table.frame_names) < LEAST_FRAMES:
         raise BadInput(
-            f"{path} has {len(table.frame_names)} frames, a motion has at least {LEAST_FRAMES}: give a table of a clip"
+            f"{path} has {len(table.frame_names)} frames; expected at least {LEAST_FRAMES}. Give a table of a clip"
         )
     told = rate_hz or (table.document or {}).get("frame_rate_hz") or model.provenance.get("frame_rate_hz")
     if not told:
-        notes += (f"{path} does not tell its frame rate: {FRAME_RATE_HZ:g} Hz is taken; give --frame-rate",)
+        notes += (f"{path} has no frame rate: {FRAME_RATE_HZ:g} Hz is assumed; give --frame-rate",)
     return Motion(path.stem, table.loadings_sd, float(told or FRAME_RATE_HZ)), notes
 
 
 def _guide(path: Path, model: MorphModel, rate_hz: float | None) -> tuple[Motion, tuple[str, ...]]:
-    """Read the guide; somebody else's motion first has to become one of this face."""
+    """Read the guide; check that its motion is that of this model."""
     try:
         return _motion(path, model, rate_hz)
     except ReferenceMismatch as error:
         raise ReferenceMismatch(
-            f"the guide {path} belongs to another model than that of {model.identity}: let its motion drive this model "
-            "with `morphspace mimic`, and give the loadings that come of it"
+            f"the guide {path} belongs to another model than that of {model.identity}. Transfer its motion to this "
+            "model with `morphspace mimic`, and give the resulting loadings"
         ) from error
 
 
@@ -141,9 +141,9 @@ def _check_components(motions: Sequence[Motion], paths: Sequence[Path]) -> None:
 
 
 def _names(paths: Sequence[Path]) -> tuple[str, ...]:
-    """Give each table a name of its own, fit for a file: NAME, NAME_2, NAME_3 where several are called alike.
+    """Name each table for use in file names: NAME, NAME_2, NAME_3 if several share a name.
 
-    One that is called as every set's own table is, `loadings`, goes by the name of its folder.
+    A table named `loadings`, like the set's own table, takes the name of its folder.
     """
     kept = [path.stem.casefold() in KEPT_STEMS and bool(path.parent.name) for path in paths]
     words = [path.parent.name if named else path.stem for path, named in zip(paths, kept, strict=True)]
@@ -158,7 +158,7 @@ def _names(paths: Sequence[Path]) -> tuple[str, ...]:
 
 
 def _steps(motion: Motion, weights: AnyArray) -> tuple[float, float, float]:
-    """Give the median and the largest step of a motion, and that from its last frame to its first."""
+    """Return the median step, the largest step, and the step from last to first frame of a motion."""
     steps = step_lengths(motion.loadings_sd, weights)
     closing = step_lengths(motion.loadings_sd[[-1, 0]], weights)
     return float(np.median(steps)), float(steps.max()), float(closing[0])
@@ -170,8 +170,8 @@ def _notes(motion: Motion, weights: AnyArray) -> tuple[str, ...]:
         return ()
     far = f"by {closing / median:.3g} median steps" if median > 0 else "though it mostly stands still"
     return (
-        f"{motion.name} jumps {far} where the loop closes: give the loop more seconds, or none, and it takes what it "
-        "needs",
+        f"{motion.name} jumps {far} at the end of the loop: give the loop more seconds, or none to choose them "
+        "automatically",
     )
 
 
@@ -180,7 +180,7 @@ def _share(step: float, median: float) -> float | None:
 
 
 def told_of(made: MadeMotions, motion: Motion, weights: AnyArray, seed: int) -> dict[str, Any]:
-    """Return what the manifest says of a motion (`COLUMNS`); `weights` (k,) are the SD of its loadings."""
+    """Return the manifest entries of a motion (`COLUMNS`); `weights` (k,) are the SDs of its loadings."""
     median, largest, closing = _steps(motion, weights)
     told: dict[str, Any] = {
         "tables": " ".join(made.names),

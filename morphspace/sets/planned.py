@@ -1,7 +1,7 @@
-"""A set of stimuli: planned whole before anything is drawn, then drawn, measured, listed and shown on one page.
+"""A planned set of stimuli: checked as a whole before the first stimulus is drawn (ours).
 
-Every stimulus verb plans a `PlannedSet`; `write_set` fills a folder with it. A batch draws the stimuli of many planned
-sets by itself, through `make_stimulus`, and ends with `complete_set` on the folder that holds them all.
+Every stimulus verb plans a `PlannedSet`, and `write_set` draws it into a folder. A batch draws the stimuli of several
+planned sets with `make_stimulus`, and then calls `complete_set` on their common folder.
 """
 
 from __future__ import annotations
@@ -28,16 +28,35 @@ KEPT_STEMS = ("manifest", "loadings", "colour_loadings", "record", "index")  # a
 
 @dataclass(frozen=True, eq=False)
 class PlannedSet:
-    """Stimuli to be drawn with one model: everything is read and checked, nothing is drawn.
+    """Stimuli to draw with one model; everything is read and checked, nothing is drawn.
 
-    `verb` as it is called on the command line | `request` as JSON, without its output (`request_document`) | `inputs`,
-    name to SHA-256 | `drawings`, in their order | `notes` to act on | `tables`, more CSVs for the folder: file name to
-    columns | `columns`, what entries the drawings tell mean, where `manifest.TOLD_COLUMNS` does not say | `new_model`
-    where the verb has built the model itself: `keep_model` writes it to `model_path` before anything is drawn | `files`
-    that were read, none of which the set may replace | `rights`, consent and licence of what is shown where that is
-    not the model's person alone.
+    Attributes
+    ----------
+    verb
+        Name on the command line.
+    request
+        The request as JSON without its output (`request_document`).
+    inputs
+        Name to SHA-256.
+    drawings
+        The drawings, in order.
+    notes
+        Notes for the user.
+    tables
+        Further CSV files of the folder: file name to columns.
+    columns
+        Descriptions of the drawings' entries beyond `manifest.TOLD_COLUMNS`.
+    new_model
+        A model built by the verb; `keep_model` writes it to `model_path` before drawing starts.
+    files
+        Files that were read; the set may replace none of them.
+    rights
+        Consent and licence if the stimuli show more than the model's person.
 
-    Raises `BadInput` where there are no drawings, names collide, or a told entry is not described.
+    Raises
+    ------
+    BadInput
+        If there are no drawings, names collide, or an entry has no description.
     """
 
     verb: str
@@ -56,17 +75,17 @@ class PlannedSet:
 
     def __post_init__(self) -> None:
         if not self.drawings:
-            raise BadInput(f"{self.verb} has nothing to draw: give at least one frame, step or gain")
+            raise BadInput(f"{self.verb} has nothing to draw. Give at least one frame, step or gain")
         check_names([drawing.name for drawing in self.drawings], tuple(self.tables))
         self.told_columns()
 
     def told_columns(self) -> dict[str, Column]:
-        """Give what the entries that the drawings tell mean, in their order."""
+        """Return the descriptions of the drawings' entries, in order."""
         keys = dict.fromkeys(key for drawing in self.drawings for key in drawing.told)
         return described_columns(keys, self.columns)
 
     def sidecar_head(self) -> dict[str, Any]:
-        """Give what the sidecars of all stimuli of the set share, for `make_stimulus`; plain JSON."""
+        """Return the entries that all sidecars of the set share, as JSON, for `make_stimulus`."""
         provenance = self.model.provenance
         head: dict[str, Any] = {
             "format": STIMULUS_FORMAT,
@@ -102,7 +121,7 @@ def plan_of(
     columns: Mapping[str, Column] | None = None,
     rights: Mapping[str, Any] | None = None,
 ) -> PlannedSet:
-    """Make the planned set of a verb's request, whose `model` is the path the model was opened from."""
+    """Build the planned set of a verb's request; the request's `model` is the path of the model."""
     sha256 = digest_of_kept(Path(request.model))
     return PlannedSet(
         verb=verb,
@@ -121,26 +140,24 @@ def plan_of(
 
 
 def check_names(names: Sequence[str], tables: Sequence[str] = ()) -> None:
-    """Raise `BadInput` where two stimuli would share a file on any usual system, or take one of the set's own."""
+    """Check that no two stimuli share a file on any common system, and that none uses a file name of the set."""
     counts = Counter(name.casefold() for name in names)
     kept = {*KEPT_STEMS, *(Path(table).stem.casefold() for table in tables)}
     for name in names:
         if counts[name.casefold()] > 1:
             same = [other for other in names if other.casefold() == name.casefold()]
             raise BadInput(
-                f"{len(same)} stimuli would be called {same[0]!r}{'' if len(set(same)) == 1 else f' or {same[-1]!r}'}: "
-                "give each a name of its own"
+                f"{len(same)} stimuli have the name {same[0]!r}{'' if len(set(same)) == 1 else f' or {same[-1]!r}'}. "
+                "Give each its own name"
             )
         if name.casefold() in kept:
-            raise BadInput(
-                f"a stimulus is called {name!r}, which is the name of a file of the set: rename it"
-            )
+            raise BadInput(f"the stimulus name {name!r} is that of a file of the set. Rename it")
 
 
 def keep_model(planned: PlannedSet) -> None:
-    """Write the model of a set that its verb has built, unless it is there already; a model that was given stays.
+    """Write the model that the verb of a set has built, unless it is present; a given model stays as it is.
 
-    Raises `BadInput` where the model of something else is in the way.
+    Raises `BadInput` if another model is at its path.
     """
     if not planned.new_model:
         return
@@ -151,8 +168,8 @@ def keep_model(planned: PlannedSet) -> None:
 
 
 def check_kept_model(model: MorphModel, path: Path) -> None:
-    """Raise `BadInput` where a file is at the path of a new model and is not that model."""
+    """Check that a file at the path of a new model is that model. Raises `BadInput` otherwise."""
     if path.exists() and load_model(path).model_id != model.model_id:
         raise BadInput(
-            f"{path} is in the way, and is another model: choose another output folder, or move it away"
+            f"{path} is another model than the one to write. Choose another output folder, or move it away"
         )

@@ -1,8 +1,8 @@
-"""The stimuli of a batch, drawn in several processes.
+"""Draw the stimuli of a batch in several processes (ours).
 
-A process is started afresh (spawn), opens a model the first time it needs it and keeps it; only numbers travel,
-never a model. Each keeps to one thread, so that stimuli are the same bits however many processes draw them. When
-the batch is stopped the processes end after what they are at; when it is killed they notice and end too.
+Each process is spawned, and opens each model at its first use; only numbers are sent between processes. Filters use
+one thread per process, so the bits of a stimulus do not depend on the number of processes. If the batch stops, each
+process finishes its current piece and ends; if the batch is killed, the processes end too.
 """
 
 from __future__ import annotations
@@ -29,18 +29,18 @@ from morphspace.sets.folders import FolderJob, fill_folder
 from morphspace.steps import core_count, single_threads, using_workers
 from morphspace.stimuli.drawing import Drawing
 
-QUEUED = 4  # pieces a process has waiting: none idles, and stopping is quick
-OPEN_MODELS = 64  # a process keeps; they are maps of files, and cost addresses rather than memory
+QUEUED = 4  # pieces waiting per process; enough to keep it busy, few enough to stop quickly
+OPEN_MODELS = 64  # models open per process; they are memory maps and use address space, not memory
 
-_stop: Any = None  # in a process of the pool: the event that says that the batch was stopped
-_held = contextlib.ExitStack()  # what a process of the pool holds as long as it lives
+_stop: Any = None  # in a process of the pool: the event that is set when the batch stops
+_held = contextlib.ExitStack()  # contexts that last as long as a process of the pool
 
 
 @dataclass(frozen=True, eq=False)
 class DrawingPiece:
-    """One stimulus to draw into `folder` with the model at `model_path`; `head` opens its sidecar.
+    """One stimulus to draw into `folder` with the model at `model_path`; `head` begins its sidecar.
 
-    `threads` draw the frames of a video, where there are cores that no process uses.
+    `threads` draw the frames of a video if there are more cores than processes.
     """
 
     model_path: Path
@@ -50,25 +50,25 @@ class DrawingPiece:
     threads: int = 1
 
     def made(self) -> dict[str, Any]:
-        """Draw it, or keep it where it is there; give its row of the manifest."""
+        """Draw the stimulus, or keep a complete one; return its manifest row."""
         model = _opened(self.model_path)
         if model.model_id != self.head["model"]["model_id"]:
             raise BadInput(
                 f"{self.model_path} was model {self.head['model']['model_id']} when the batch began and is "
-                f"{model.model_id} now: start again, and leave the models alone while it runs"
+                f"{model.model_id} now. Start again, and do not change models during a batch"
             )
         return make_stimulus(model, self.drawing, self.head, self.folder, self.threads)
 
 
 @dataclass(frozen=True, eq=False)
 class FolderPiece:
-    """One folder to be filled inside `folder`."""
+    """One folder to fill inside `folder`."""
 
     job: FolderJob
     folder: Path
 
     def made(self) -> dict[str, Any]:
-        """Fill it, or keep it where it is whole; give its row of the table of folders."""
+        """Fill the folder, or keep a complete one; return its row of the table of folders."""
         return fill_folder(self.job, self.folder, lambda: _stop is not None and _stop.is_set())
 
 
@@ -82,18 +82,18 @@ def _opened(path: Path) -> MorphModel:
 
 
 def made_here(pieces: Iterable[Piece]) -> Rows:
-    """Make the pieces one after the other in this process; give their rows in order."""
-    _opened.cache_clear()  # a model may have been built anew since
+    """Make the pieces one after the other in this process; yield their rows in order."""
+    _opened.cache_clear()  # a model file may have been replaced since
     with single_threads():
         for piece in pieces:
             yield piece.made()
 
 
 def made_in_processes(pieces: Iterable[Piece], workers: int) -> Rows:
-    """Make the pieces in so many processes; give their rows in order.
+    """Make the pieces in several processes; yield their rows in order.
 
-    Memory does not grow with the number of pieces. Raises what a piece raises, once those under way are done; and
-    `MorphspaceError` where a process was ended from outside.
+    Memory does not grow with the number of pieces. The error of a piece is raised after the pieces in progress are
+    done. Raises `MorphspaceError` if a process was ended from outside.
     """
     context = multiprocessing.get_context("spawn")
     stop = context.Event()
@@ -105,7 +105,7 @@ def made_in_processes(pieces: Iterable[Piece], workers: int) -> Rows:
         for piece in pieces:
             with (
                 contextlib.nullcontext() if pending else _interrupts_waiting()
-            ):  # the first starts the processes
+            ):  # the first piece starts the processes
                 pending.append(pool.submit(_made, piece))
             if len(pending) >= QUEUED * workers:
                 yield pending.popleft().result()
@@ -113,8 +113,8 @@ def made_in_processes(pieces: Iterable[Piece], workers: int) -> Rows:
             yield pending.popleft().result()
     except BrokenProcessPool as error:
         raise MorphspaceError(
-            "a process of the batch was ended from outside, perhaps for want of memory: give the same "
-            "command with fewer --workers, it goes on where it was (in a program of yours, batch runs "
+            "a process of the batch was ended from outside, perhaps for lack of memory. Resume with the same "
+            "command and fewer --workers (in your own program, call batch "
             "below `if __name__ == '__main__':`)"
         ) from error
     finally:
@@ -128,7 +128,7 @@ def _made(piece: Piece) -> dict[str, Any]:
 
 @contextlib.contextmanager
 def _interrupts_waiting() -> Iterator[None]:
-    """Let Ctrl-C wait for a block. Processes that are started in it never see one."""
+    """Delay Ctrl-C until the block ends. Processes started in the block ignore it."""
     if not hasattr(signal, "pthread_sigmask"):  # Windows
         yield
         return
@@ -140,12 +140,12 @@ def _interrupts_waiting() -> Iterator[None]:
 
 
 def threads_of(processes: int) -> int:
-    """Return how many frames each of so many processes works on at a time: the cores are shared among them."""
+    """Return the number of frames that each process draws in parallel, so that the processes share the cores."""
     return max(1, core_count() // processes)
 
 
 def _begin(stop: Any, threads: int) -> None:
-    """Prepare a new process: it ends with the one that started it, and filters run on one thread each."""
+    """Prepare a new process: it ends with its parent, and its filters use one thread each."""
     global _stop
     _stop = stop
     signal.signal(signal.SIGINT, signal.SIG_IGN)

@@ -1,4 +1,4 @@
-"""What may be replaced in an output folder: files of the verb itself, never an input, never a file of somebody else."""
+"""Protect files in an output folder: a verb replaces only its own earlier files, never an input (ours)."""
 
 from __future__ import annotations
 
@@ -23,9 +23,9 @@ from morphspace.storage import digest_of_file, make_folder
 
 RECORD_FORMAT = "morphspace-record"
 TABLE_SUFFIX = ".csv"
-LONGEST_NAME_BYTES = 200  # of the 255 a file system takes; a record and unfinished files have longer names
-FOLDER_FIELDS = ("clip", "first", "last")  # of requests: a folder named there is a clip's
-SIDECAR_START = '{\n  "consent": '  # keys are in order, and every sidecar of ours has this one
+LONGEST_NAME_BYTES = 200  # bytes of the 255 of a file system; records and unfinished files have longer names
+FOLDER_FIELDS = ("clip", "first", "last")  # request fields in which a folder is a clip
+SIDECAR_START = '{\n  "consent": '  # keys are sorted, and this key comes first in every sidecar
 OWN_FILES = (
     "manifest.csv",
     "manifest.json",
@@ -37,8 +37,8 @@ OWN_FILES = (
     RECORD_NAME,
 )
 MIMIC_FRAMES = "frames"
-MODELS_FOLDER = "models"  # models that were built on the way
-WORK_FOLDER = "mimic.work"  # finished frames of a run that was stopped
+MODELS_FOLDER = "models"  # models built from clips
+WORK_FOLDER = "mimic.work"  # finished frames of a stopped run
 VIDEO_NAME = "side-by-side.mp4"
 MIMIC_FILES = (
     MIMIC_FRAMES,
@@ -53,22 +53,24 @@ MIMIC_FILES = (
 
 
 def check_file(path: Path, suffix: str, kept: Iterable[Path] = ()) -> None:
-    """Raise `BadInput` where an output has another suffix, is a folder, or is one of the files to be `kept`."""
+    """Check the suffix of an output, and that it is neither a folder nor one of the files to be `kept`."""
     length = len(os.fsencode(path.name))
     if length > LONGEST_NAME_BYTES:
         raise BadInput(
-            f"the output {path.name[:20]}... has a name of {length} bytes: give at most {LONGEST_NAME_BYTES}, "
-            "so that the files beside it have room"
+            f"the output's name {path.name[:20]}... has {length} bytes; expected at most {LONGEST_NAME_BYTES}, "
+            "because files beside it have longer names"
         )
     if path.suffix.lower() != suffix:
-        raise BadInput(f"the output {path} should end in {suffix}: call it {path.stem or 'output'}{suffix}")
+        raise BadInput(
+            f"the output is {path}; expected a name in {suffix}. Call it {path.stem or 'output'}{suffix}"
+        )
     if path.is_dir():
-        raise BadInput(f"the output {path} is a folder: give the name of a {suffix} file")
+        raise BadInput(f"the output {path} is a folder. Give the name of a {suffix} file")
     check_inputs([path], tuple(kept))
 
 
 def files_named(request: Any) -> tuple[Path, ...]:
-    """Give the files on the disk that a frozen request reads: models, tables with their sidecars, frames of clips."""
+    """List the files that a request reads: models, tables with their sidecars, frames of clips."""
     found: dict[Path, None] = {}
     for entry in dataclasses.fields(request):
         if entry.name != "output":
@@ -89,7 +91,7 @@ def _words(value: Any) -> Iterator[str]:
 
 
 def _files(words: str, folders: bool) -> Iterator[Path]:
-    """Give the files that words name: a file and what is beside it, a folder's frames, a pattern's matches."""
+    """Yield the files of a path: the file and its sidecar, the frames of a folder, or the matches of a pattern."""
     head, mark, _ = words.rpartition(":")
     if mark and head.lower().endswith(TABLE_SUFFIX):
         words = head  # TABLE.csv:FRAME
@@ -110,20 +112,22 @@ def _files(words: str, folders: bool) -> Iterator[Path]:
 
 
 def check_inputs(written: Iterable[Path], inputs: Collection[Path]) -> None:
-    """Raise `BadInput` where a file that is to be written is one of the inputs."""
+    """Check that no file to be written is one of the inputs. Raises `BadInput` otherwise."""
     there = [path for path in written if path.exists()]
     kept = {path.resolve() for path in set(inputs)} if there else set()
     for path in there:
         if path.resolve() in kept:
-            raise BadInput(f"the output {path} is one of the inputs and would be lost: choose another output")
+            raise BadInput(
+                f"the output {path} is one of the inputs and would be replaced. Choose another output"
+            )
 
 
 def check_apart(output: Path, inputs: Sequence[Path]) -> None:
-    """Raise `BadInput` where frames lie in the output folder itself: they and what is written would be mixed."""
+    """Check that no input frame is in the output folder, where it would be mixed with the outputs."""
     for path in inputs:
         if path.suffix.lower() not in VIDEO_SUFFIXES and path.parent.resolve() == output.resolve():
             raise BadInput(
-                f"the output folder {output} holds the frames that are read, such as {path.name}: choose another "
+                f"the output folder {output} holds the input frames, such as {path.name}. Choose another "
                 "output folder, such as one in it"
             )
 
@@ -134,9 +138,9 @@ def check_set(
     inputs: Collection[Path] = (),
     tables: Collection[str] = (),
 ) -> None:
-    """Make the folder, or raise where it cannot be written, or inputs or files that are not ours would be replaced.
+    """Create the folder; check that it can be written and that neither inputs nor files of other origin are replaced.
 
-    `inputs` are the files read; `tables` the names of the set's own tables beside the usual files.
+    `inputs` are the files read; `tables` are the names of the set's own tables beside the usual files.
     """
     stimuli = [(folder / drawing.file_name, folder / f"{drawing.name}.json") for drawing in drawings]
     own = [folder / name for name in dict.fromkeys((*OWN_FILES, *tables))]
@@ -148,7 +152,7 @@ def check_set(
 
 
 def _check_own(folder: Path, found: Sequence[Path], sidecars: Sequence[Path]) -> None:
-    """Raise `BadInput` where a file called like one of a set is there and the folder is no set's."""
+    """Check that existing files with names of a set belong to a set. Raises `BadInput` otherwise."""
     if not found:
         return
     record, manifest = _object(folder / RECORD_NAME), _object(folder / "manifest.json")
@@ -158,17 +162,15 @@ def _check_own(folder: Path, found: Sequence[Path], sidecars: Sequence[Path]) ->
     unlisted = _begun(sidecars, listed, folder) or (not listed and manifest.get("format") == MANIFEST_FORMAT)
     for path in found:
         if path.is_dir():
-            raise BadInput(
-                f"{path} is a folder, and the set writes a file there: choose another output folder"
-            )
+            raise BadInput(f"{path} is a folder; expected a file of the set. Choose another output folder")
         if not (unlisted or path.name in listed or (listed and path.name == RECORD_NAME)):
             raise BadInput(
-                f"{path} would be replaced, and is not of a stimulus set: choose another output folder"
+                f"{path} would be replaced, but is not of a stimulus set. Choose another output folder"
             )
 
 
 def _begun(sidecars: Sequence[Path], listed: Mapping[str, Any], folder: Path) -> bool:
-    """Tell whether a set was killed while it took over a folder: a stimulus of it is there that no record lists."""
+    """Check whether an interrupted set began in this folder: it holds a stimulus that no record lists."""
     for sidecar in sidecars:
         if _object(sidecar).get("format") == STIMULUS_FORMAT:
             recorded = listed.get(sidecar.relative_to(folder).as_posix())
@@ -178,7 +180,7 @@ def _begun(sidecars: Sequence[Path], listed: Mapping[str, Any], folder: Path) ->
 
 
 def _object(path: Path) -> dict[str, Any]:
-    """Give a JSON object, an empty one where there is none that can be read."""
+    """Read a JSON object; return an empty one if the file is missing or unreadable."""
     try:
         return read_json_object(path)
     except UnreadableFile:
@@ -186,26 +188,24 @@ def _object(path: Path) -> dict[str, Any]:
 
 
 def check_replaced(picture: Path, sidecar: Path) -> None:
-    """Raise `BadInput` where a stimulus or its sidecar would replace a file that is no stimulus of ours.
+    """Check that a stimulus and its sidecar replace only a stimulus of ours. Raises `BadInput` otherwise.
 
-    A sidecar that is not whole is made again where it, or the picture beside it, shows that it was ours.
+    An incomplete sidecar is replaced if it, or the picture beside it, was written by us.
     """
     for path in (picture, sidecar):
         if path.is_dir():
-            raise BadInput(
-                f"{path} is a folder, and a stimulus is written there: choose another output folder"
-            )
+            raise BadInput(f"{path} is a folder; expected a stimulus. Choose another output folder")
     if sidecar.exists():
         if _object(sidecar).get("format") == STIMULUS_FORMAT or _starts_like_ours(sidecar):
             return
         if picture.exists() and essentials_in(picture) is not None:
             return
         raise BadInput(
-            f"{sidecar} would be replaced, and is no stimulus' sidecar: delete it or choose another folder"
+            f"{sidecar} would be replaced, but is not a stimulus' sidecar. Delete it or choose another folder"
         )
     if picture.exists() and essentials_in(picture) is None:
         raise BadInput(
-            f"{picture} would be replaced, and is no stimulus of ours: delete it or choose another folder"
+            f"{picture} would be replaced, but is not a stimulus of morphspace. Delete it or choose another folder"
         )
 
 
@@ -215,14 +215,14 @@ def _starts_like_ours(sidecar: Path) -> bool:
             return file.read(len(SIDECAR_START)) == SIDECAR_START.encode()
     except OSError as error:
         raise UnreadableFile(
-            f"cannot read {sidecar}: {error.strerror or error}; check the permissions"
+            f"cannot read {sidecar}: {error.strerror or error}. Check the permissions"
         ) from error
 
 
 def check_ours(folder: Path, verb: str = "mimic", written: Sequence[str] = MIMIC_FILES) -> None:
-    """Raise `BadInput` where the folder holds something under a name of ours that no run of the verb left there.
+    """Check that all files with our names in the folder were written by a run of the verb.
 
-    A folder VERB.work there says that a run was stopped.
+    A folder VERB.work marks a run that was stopped. Raises `BadInput` for a file of other origin.
     """
     begun = (folder / f"{verb}.work").is_dir()
     if not folder.is_dir() or begun or _object(folder / RECORD_NAME).get("verb") == verb:
@@ -230,22 +230,22 @@ def check_ours(folder: Path, verb: str = "mimic", written: Sequence[str] = MIMIC
     for name in written:
         path = folder / name
         if path.exists() and not (path.is_dir() and not any(path.iterdir())):
-            lost = "be mixed with the new pictures" if name == MIMIC_FRAMES else "be written over"
+            lost = "be mixed with the new pictures" if name == MIMIC_FRAMES else "be replaced"
             raise BadInput(
-                f"{folder} is no folder of an earlier {verb}, and its {name} would {lost}: choose another output "
+                f"{folder} is not the folder of an earlier {verb}, and its {name} would {lost}. Choose another output "
                 f"folder, or move {name} away"
             )
 
 
 def remove_unfinished(folder: Path) -> None:
-    """Take away the files that a killed run was in the middle of writing; the folder must be ours."""
+    """Remove the unfinished files of a stopped run; the folder must be ours."""
     for place in (folder, *(folder / name for name in (MIMIC_FRAMES, WORK_FOLDER, MODELS_FOLDER))):
         storage.remove_unfinished(place, ".png", ".mp4", ".csv", ".json", ".html", ".morph", SUFFIX)
 
 
 @contextlib.contextmanager
 def told_what_stays(folder: Path) -> Iterator[None]:
-    """Where the block ends in an error of ours, add to its words which models, begun or built in it, lie here now."""
+    """Add to an error of the block the names of the finished or begun models that stay in the folder."""
     before = _models(folder)
     try:
         yield
@@ -254,13 +254,13 @@ def told_what_stays(folder: Path) -> Iterator[None]:
         if not made:
             raise
         raise type(error)(
-            f"{error}; what was made for it stays in {folder / MODELS_FOLDER} ({', '.join(made)}), and the next run "
-            "here goes on from it"
+            f"{error}; the models made for it stay in {folder / MODELS_FOLDER} ({', '.join(made)}), and the next run "
+            "here reuses them"
         ) from error
 
 
 def _models(folder: Path) -> list[Path]:
-    """Give the models, and the work folders of models that were begun."""
+    """List the models, and the work folders of begun models."""
     place = folder / MODELS_FOLDER
     return sorted(path for kind in ("*.morph", "*.morph.work") for path in place.glob(kind))
 
@@ -269,7 +269,7 @@ def _models(folder: Path) -> list[Path]:
 def no_empty_folders(
     folder: Path, inner: Sequence[str] = (MIMIC_FRAMES, WORK_FOLDER, MODELS_FOLDER)
 ) -> Iterator[None]:
-    """Take away, however the block ends, what folders it made here that are empty: `inner` ones, this, its parents."""
+    """Remove, at the end of the block, the empty folders that it created: `inner` ones, the folder and its parents."""
     places = [folder / name for name in inner]
     made = [path for path in (*places, folder, *folder.parents) if not path.exists()]
     begun = folder / MODELS_FOLDER

@@ -1,8 +1,8 @@
-"""From a recipe to everything it will draw: requests, planned sets, names; all that can be refused is refused here.
+"""Plan everything that a recipe draws: requests, planned sets and names; all its errors are found here (ours).
 
-A job of a recipe is one request. Its drawings are named by the recipe's pattern, told which level of each factor
-they have, and kept with the words of the recipe rather than with paths of this machine, so that the same recipe
-gives the same bytes wherever it lies.
+A job of a recipe is one request. Its drawings are named by the recipe's pattern and hold the level of each factor.
+They are stored with the recipe's paths, not those of this machine, so the same recipe gives the same bytes
+everywhere.
 """
 
 from __future__ import annotations
@@ -30,13 +30,13 @@ from morphspace.stimuli.drawing import Drawing, check_name
 from morphspace.storage import digest_of_file, digest_of_json
 
 FOLDERS_TABLE = "folders.csv"
-ID_DIGITS = 8  # of a model's id, where they tell models of one name apart
-NAMING_COLUMNS = ("name", "from", "to")  # of a verb's tables: they name its stimuli
+ID_DIGITS = 8  # hexadecimal digits of a model's id that distinguish models of one name
+NAMING_COLUMNS = ("name", "from", "to")  # columns of a verb's tables that name its stimuli
 
 
 @dataclass(frozen=True, eq=False)
 class Planned:
-    """What a recipe makes: sets of drawings, and folders; `inputs` of the whole, name to SHA-256."""
+    """The plan of a recipe: sets of drawings, folders, and all `inputs`, name to SHA-256."""
 
     sets: tuple[PlannedSet, ...]
     folders: tuple[FolderJob, ...]
@@ -44,13 +44,13 @@ class Planned:
 
     @property
     def drawings(self) -> list[tuple[PlannedSet, Drawing]]:
-        """Give every drawing with the set it is of, in order."""
+        """Return every drawing with its set, in order."""
         return [(planned, drawing) for planned in self.sets for drawing in planned.drawings]
 
 
 @dataclass
 class _Book:
-    """What a planning has seen so far: open models, whose name is whose, tables, how many drawings of `most`."""
+    """The state of planning: open models, the job of each name, names of tables, and the number of drawings."""
 
     models: dict[Path, MorphModel] = field(default_factory=dict)
     names: dict[str, tuple[str, Job]] = field(default_factory=dict)
@@ -67,19 +67,19 @@ class _Book:
         return self.models[path]
 
     def take(self, name: str, job: Job, places: Iterable[str]) -> None:
-        """Note whose name it is. Raises `BadInput` where it is taken, capitals and small letters being the same."""
+        """Reserve a name for a job. Raises `BadInput` if it is in use; case is ignored."""
         check_name(name)
         if name.casefold() in self.names:
             taken, other = self.names[name.casefold()]
             whose = "this entry" if other is job else other.label
             raise BadInput(
-                f"{job.label} makes a stimulus called {name!r}, and {whose} makes {taken!r}: put what tells "
-                f"them apart into the name; there are {', '.join(f'{{{place}}}' for place in places)}"
+                f"{job.label} makes a stimulus called {name!r}, and {whose} makes {taken!r}: add to the name a "
+                f"placeholder that distinguishes them: {', '.join(f'{{{place}}}' for place in places)}"
             )
         self.names[name.casefold()] = (name, job)
 
     def table(self, name: str) -> str:
-        """Give a free name for a table called so."""
+        """Return a free name for a table, derived from `name`."""
         stem, suffix = Path(name).stem, Path(name).suffix
         number = 1
         while name.casefold() in self.tables:
@@ -90,10 +90,13 @@ class _Book:
 
 
 def planned_recipe(recipe: Recipe, folder: Path, most: int | None) -> Steps[Planned]:
-    """Plan every job of the recipe for the folder. Draws nothing. A generator of steps.
+    """Plan every job of the recipe for the folder without drawing.
 
-    Raises `BadInput` with the line of the recipe: for whatever a verb would refuse, for names that collide, and for
-    more than `most` stimuli.
+    Raises
+    ------
+    BadInput
+        If a verb refuses its request, names collide, or there are more than `most` stimuli. The message names the
+        line.
     """
     _check_count(recipe.job_count, most, "jobs")
     _check_sources(recipe)
@@ -124,9 +127,9 @@ def planned_recipe(recipe: Recipe, folder: Path, most: int | None) -> Steps[Plan
 
 
 def _with_own_models(sets: Sequence[PlannedSet]) -> tuple[PlannedSet, ...]:
-    """Name the models that verbs have built so that no two of them are called alike: by their ids where they would be.
+    """Name the new models of verbs uniquely; models that would share a name get their ids.
 
-    Raises `BadInput` where the folder has another model of that name.
+    Raises `BadInput` if the folder has another model of that name.
     """
     called: dict[str, set[str]] = {}
     for one in sets:
@@ -147,7 +150,7 @@ def _check_count(count: int, most: int | None, what: str) -> None:
     if most is not None and count > most:
         found = f"{count:,}" if what == "jobs" else f"more than {most:,}"
         raise BadInput(
-            f"the recipe makes {found} {what}: give --yes where that is meant (it is asked above {most:,}), "
+            f"the recipe makes {found} {what}; expected at most {most:,}. Give --yes to make them, "
             "or cross fewer levels"
         )
 
@@ -156,8 +159,8 @@ def _check_sources(recipe: Recipe) -> None:
     for name, words in recipe.sources.items():
         if not _is_pattern(words) and not (recipe.path.parent / words).exists():
             raise BadInput(
-                f"{recipe.source_lines[name]}: the source {name!r} is {words}, which is not there: paths "
-                "are taken from the recipe's folder"
+                f"{recipe.source_lines[name]}: the source {name!r} is {words}, which does not exist. Paths "
+                "are relative to the recipe's folder"
             )
 
 
@@ -166,13 +169,13 @@ def _is_pattern(words: str) -> bool:
 
 
 def _requests(job: Job, verb: Verb, recipe: Recipe, output: Path) -> tuple[Any, dict[str, Any]]:
-    """Give the request with paths that open, and the same as JSON with the recipe's own words for them."""
+    """Return the request with full paths, and its JSON with the recipe's own paths."""
 
     def opening(words: str) -> Path:
         named, frame = _named(words, recipe)
         path = recipe.path.parent / named
         if not _is_pattern(named) and not path.exists():
-            raise BadInput(f"{job.label}: {named} is not there: paths are taken from the recipe's folder")
+            raise BadInput(f"{job.label}: {named} does not exist. Paths are relative to the recipe's folder")
         return path.with_name(path.name + frame)
 
     def telling(words: str) -> Path:
@@ -188,7 +191,7 @@ def _requests(job: Job, verb: Verb, recipe: Recipe, output: Path) -> tuple[Any, 
 
 
 def _named(words: str, recipe: Recipe) -> tuple[str, str]:
-    """Give the path that words of a recipe mean, a source's or their own, and `:FRAME` where they end in one."""
+    """Return the path for words of a recipe, a source or a path, and a trailing `:FRAME`."""
     if words in recipe.sources or ":" not in words:
         return recipe.sources.get(words, words), ""
     head, _, frame = words.rpartition(":")
@@ -224,7 +227,7 @@ def _set_of(job: Job, verb: Verb, recipe: Recipe, folder: Path, book: _Book) -> 
 
 
 def _name(job: Job, places: Mapping[str, Any]) -> str:
-    """Give a name: the recipe's pattern filled, or a folder of the levels and the verb's own name for the stimulus."""
+    """Return the name of a stimulus: the recipe's filled pattern, or a folder of the levels and the verb's own name."""
     if job.name is None:
         folder = _levels_word(job)
         return "/".join(part for part in (folder, str(places.get("name", ""))) if part)
@@ -235,13 +238,13 @@ def _name(job: Job, places: Mapping[str, Any]) -> str:
 
 
 def _levels_word(job: Job) -> str:
-    """Give the levels of a job as one word, in the manner of Psych-DS: identity-ann_gain-0.5."""
+    """Return the levels of a job as one word in the manner of Psych-DS: identity-ann_gain-0.5."""
     levels = "_".join(f"{factor}-{level}" for factor, level in job.levels.items())
     return file_names([levels])[0] if levels else ""
 
 
 def _level_columns(levels: Mapping[str, Any], told: Mapping[str, Any]) -> dict[str, str]:
-    """Give the factor that each added column of the manifest tells; one that the verb tells alike needs no column."""
+    """Return the factor of each added manifest column; a factor that the verb lists with equal values needs none."""
     columns = {}
     for factor, level in levels.items():
         if factor in FIRST_COLUMNS or factor in LAST_COLUMNS or told.get(factor, level) != level:
@@ -254,7 +257,7 @@ def _level_columns(levels: Mapping[str, Any], told: Mapping[str, Any]) -> dict[s
 def _own_tables(
     job: Job, tables: Mapping[str, Mapping[str, Sequence[Any]]], names: Mapping[str, str], book: _Book
 ) -> dict[str, dict[str, Sequence[Any]]]:
-    """Give a job's tables under names of their own, and in them the names the stimuli have now."""
+    """Rename a job's tables uniquely, and replace the stimuli's names in them by the new ones."""
     own = {}
     for name, table in tables.items():
         word = _levels_word(job)
@@ -295,13 +298,13 @@ def _folder_job(job: Job, verb: Verb, recipe: Recipe, folder: Path, book: _Book)
 
 
 def _digest(given: str) -> Any:
-    """Give what identifies a file, or the frames of a clip."""
+    """Return the digest of a file, or of the frames of a clip."""
     path = Path(given)
     return digest_of_file(path) if path.is_file() else list(open_clip([given]).digests())
 
 
 def _check_folders(folders: Sequence[FolderJob], book: _Book) -> None:
-    """Raise `BadInput` where a stimulus or another folder would lie inside a folder that a verb fills by itself."""
+    """Check that no stimulus or other folder is inside a folder that a verb fills. Raises `BadInput` otherwise."""
     owners = {job.name.casefold(): job.verb for job in folders}
     for name, (shown, job) in book.names.items():
         parts = name.split("/")
@@ -309,6 +312,6 @@ def _check_folders(folders: Sequence[FolderJob], book: _Book) -> None:
             owner = owners.get("/".join(parts[:depth]))
             if owner is not None:
                 raise BadInput(
-                    f"{job.label} makes {shown!r} inside a folder that {owner} fills by itself: give one of them "
+                    f"{job.label} makes {shown!r} inside a folder that {owner} fills. Give one of them "
                     "another name"
                 )

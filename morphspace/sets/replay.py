@@ -1,7 +1,6 @@
-"""Drawing a stimulus again from its sidecar, and whether sidecar, stimulus and manifest say what is drawn.
+"""Draw a stimulus again from its sidecar, and compare sidecar, stimulus and manifest with the result (ours).
 
-Every entry of a sidecar is compared with what it would be if it were written now; both values are given where they
-differ.
+Every sidecar entry is compared with the value it would have if written now; both values are reported if they differ.
 """
 
 from __future__ import annotations
@@ -30,9 +29,9 @@ from morphspace.steps import Step, Steps, single_threads, worker_count
 from morphspace.stimuli.drawing import PICTURE_SUFFIXES, Drawing, drawing_of
 from morphspace.storage import digest_of_file, digest_of_json, whole_file
 
-FOLDERS_UP = 2  # from the sidecar, where a model may lie: a set inside a batch inside a project
-LONGEST_TOLD = 60  # characters of a value
-CLOSE = 1e-9  # relative: what other versions of packages may change in a figure
+FOLDERS_UP = 2  # parent folders searched for a model: a set in a batch in a project
+LONGEST_VALUE = 60  # characters of a value in a message
+CLOSE = 1e-9  # relative; other versions of packages may change figures by this much
 ELSEWHERE = (
     ("model", "file"),
     ("model", "sha256"),
@@ -44,11 +43,22 @@ KNOWN = (*DECIDING, "drawing", "made_from_sha256", "statistics", "quality", "out
 
 @dataclass(frozen=True, eq=False)
 class Replayed:
-    """What came of drawing a stimulus again.
+    """Result of drawing a stimulus again.
 
-    `name` of its file | `file` the stimulus itself, which is `found` "there", "changed" or "missing" | `sha256` of what
-    was drawn, `recorded_sha256` of the sidecar | `edited` entries of the sidecar | `differences`, those included |
-    `others`: a model's file or versions that are not the recorded ones though the bytes are the same.
+    Attributes
+    ----------
+    name
+        File name of the stimulus.
+    file
+        Path of the stimulus, which is `found` "there", "changed" or "missing".
+    sha256, recorded_sha256
+        Digests of the new stimulus and of the recorded one.
+    edited
+        Edited sidecar entries.
+    differences
+        All differences, including the edited entries.
+    others
+        Differences in the model file or in versions that left the bytes the same.
     """
 
     name: str
@@ -62,33 +72,33 @@ class Replayed:
 
     @property
     def same_bytes(self) -> bool:
-        """Whether the bytes are the recorded ones."""
+        """Return whether the bytes are the recorded ones."""
         return self.sha256 == self.recorded_sha256
 
     @property
     def same(self) -> bool:
-        """Whether the bytes and all entries are those of the sidecar."""
+        """Return whether the bytes and all entries are those of the sidecar."""
         return self.same_bytes and not self.edited
 
 
 def replayed(
     sidecar: Path, model_path: Path | None = None, clip: tuple[str, ...] = (), output: Path | None = None
 ) -> Steps[Replayed]:
-    """Draw the stimulus of a sidecar again and compare. Return a `Replayed`.
+    """Draw the stimulus of a sidecar again and compare.
 
     Parameters
     ----------
     model_path
-        The model; None to find it near the sidecar.
+        The model; None to search for it near the sidecar.
     clip
-        The frames that faces were put back into, where they were moved.
+        The frames behind the faces if they were moved.
     output
-        Keeps the new stimulus.
+        Path for the new stimulus; None to discard it.
 
     Raises
     ------
     BadInput
-        Where the sidecar cannot be read, or what it names is not found.
+        If the sidecar cannot be read, or the model or the frames are not found.
     """
     _check_is_sidecar(sidecar)
     document = read_stimulus_sidecar(sidecar)
@@ -98,16 +108,16 @@ def replayed(
     if clip and drawing.placing is not None:
         drawing = replace(drawing, placing=replace(drawing.placing, sources=clip))
     if output is not None and output.suffix.lower() != drawing.suffix:
-        raise BadInput(f"the output {output} should end in {drawing.suffix}, as the stimulus does")
+        raise BadInput(f"the output is {output}; expected a name in {drawing.suffix}, as of the stimulus")
     if output is not None and output.exists():
-        raise BadInput(f"{output} is there already: give another name, so that nothing is lost")
+        raise BadInput(f"{output} exists already. Give another name")
     _check_originals(drawing)
     yield Step("draw", 0, 1)
     try:
         head = {**document, "request_sha256": digest_of_json(document["request"])}
         made_from_of(document)
     except ValueError as error:
-        raise BadInput(f"{sidecar} cannot be told as JSON again: {error}; copy it again") from error
+        raise BadInput(f"{sidecar} cannot be written as JSON: {error}. Copy it again") from error
     file = sidecar.parent / str(document["output"].get("file", ""))
     with tempfile.TemporaryDirectory(prefix="morphspace-") as folder:
         again = Path(folder) / f"again{drawing.suffix}"
@@ -138,35 +148,33 @@ def replayed(
 
 
 def _check_is_sidecar(path: Path) -> None:
-    """Raise `BadInput` for a folder or a stimulus itself, saying where its sidecar is."""
+    """Check that the path is a sidecar. For a folder or a stimulus, raise `BadInput` with the sidecar's path."""
     if path.is_dir():
-        raise BadInput(f"{path} is a folder: give the .json beside a stimulus in it")
+        raise BadInput(f"{path} is a folder. Give the .json beside a stimulus in it")
     if path.suffix.lower() in (*PICTURE_SUFFIXES, *VIDEO_SUFFIXES) and path.is_file():
         places = (path.with_suffix(".json"), path.with_name(f"{path.name}.json"))
         beside = next((place for place in places if place.is_file()), None)
-        where = (
-            f"{beside}" if beside is not None else "which is not there; copy it from where the set was made"
-        )
-        raise BadInput(f"{path} is a stimulus itself: give the .json beside it, {where}")
+        where = f"{beside}" if beside is not None else "which is missing; copy it from the original set"
+        raise BadInput(f"{path} is a stimulus. Give the .json beside it, {where}")
 
 
 def _check_originals(drawing: Drawing) -> None:
-    """Raise `BadInput` where the frames the faces were put back into are not there, saying how to name them."""
+    """Check that the original frames behind the faces exist. Raises `BadInput` with the remedy."""
     try:
         originals_of(drawing)
     except BadInput as error:
-        raise BadInput(f"{error}; say where the original frames are with --clip") from error
+        raise BadInput(f"{error}. Give the original frames with --clip") from error
 
 
 def _found(file: Path, document: Mapping[str, Any]) -> str:
-    """Say whether the stimulus itself is `there`, `changed` or `missing`."""
+    """Return whether the stimulus itself is `there`, `changed` or `missing`."""
     if not file.is_file():
         return "missing"
     return "there" if digest_of_file(file) == document["output"].get("sha256") else "changed"
 
 
 def _model(sidecar: Path, named: Path | None, document: Mapping[str, Any]) -> tuple[Path, str]:
-    """Give the model to draw with and its digest: the one named, else one of the recorded digest, else of its name."""
+    """Return the model and its digest: the given one, else one with the recorded digest, else one with its name."""
     if named is not None:
         return named, digest_of_file(named)
     name, wanted = str(document["model"].get("file")), document["model"].get("sha256")
@@ -185,20 +193,20 @@ def _model(sidecar: Path, named: Path | None, document: Mapping[str, Any]) -> tu
                 other = place, sha256
     if other is None:
         raise BadInput(
-            f"the model {name} of {sidecar} is not in the working folder nor near the sidecar: say where it is "
+            f"the model {name} of {sidecar} is neither in the working folder nor near the sidecar. Give it "
             "with --model"
         )
     return other
 
 
 def _near(sidecar: Path) -> list[Path]:
-    """Give the folders where what a sidecar names may lie: the working folder, and those the sidecar is in."""
+    """Return the folders to search for files of a sidecar: the working folder and the sidecar's parents."""
     folder = sidecar.resolve().parent
     return list(dict.fromkeys([Path(), folder, *list(folder.parents)[:FOLDERS_UP]]))
 
 
 def _region(sidecar: Path, document: Mapping[str, Any]) -> Mask | None:
-    """Give the mask that was painted, where the region of the stimulus is one."""
+    """Read the painted mask of the stimulus; None if its region is not a painted one."""
     wanted, name = document["inputs"].get("region"), document["drawing"].get("region")
     if wanted is None or name is None:
         return None
@@ -208,17 +216,17 @@ def _region(sidecar: Path, document: Mapping[str, Any]) -> Mask | None:
         if place.is_file() and digest_of_file(place) == wanted:
             return read_mask(place)
     raise BadInput(
-        f"the region {name} of {sidecar} is not in the working folder nor near the sidecar, or is another picture than "
-        "it was: put it beside the sidecar"
+        f"the region {name} of {sidecar} is neither in the working folder nor near the sidecar, or has "
+        "changed. Put it beside the sidecar"
     )
 
 
 def _others(document: Mapping[str, Any], model_sha256: str) -> list[str]:
-    """Say what the stimulus was drawn with before, where that was something else: the model's file, versions."""
+    """List changes of the model file and of versions since the stimulus was drawn."""
     recorded = document["model"].get("sha256")
     told = []
     if model_sha256 != recorded:
-        told.append(f"the model is another file: {model_sha256[:16]}, recorded is {str(recorded)[:16]}")
+        told.append(f"the model's digest is {model_sha256[:16]}; recorded is {str(recorded)[:16]}")
     return told + other_versions(document)
 
 
@@ -231,10 +239,10 @@ def _differences(
     drawing: Drawing,
     explained: bool,
 ) -> list[str]:
-    """Say what differs: the model, versions, the size, and by how much the pixels; whether more is `explained`."""
+    """List the differences of model, versions, size and pixels; `explained` if other differences are known."""
     told = _others(document, model_sha256)
     if list(size) != document["output"].get("size"):
-        told.append(f"the size is {size[0]}x{size[1]} px, recorded is {document['output'].get('size')}")
+        told.append(f"the size is {size[0]}x{size[1]} px; recorded is {document['output'].get('size')}")
     told.append(_pixels(again, file, drawing))
     if len(told) == 1 and not explained:
         told.append(
@@ -244,9 +252,9 @@ def _differences(
 
 
 def _pixels(again: Path, file: Path, drawing: Drawing) -> str:
-    """Say how far the pixels of two stimuli lie apart, in 8-bit codes."""
+    """Describe the difference of the pixels of two stimuli in 8-bit codes."""
     if not file.is_file():
-        return "the stimulus itself is not there, so its pixels cannot be compared"
+        return "the stimulus is missing, so its pixels cannot be compared"
     largest, changed, total = 0.0, 0, 0
     try:
         for one, other in zip(_frames(again, drawing), _frames(file, drawing), strict=True):
@@ -263,7 +271,7 @@ def _pixels(again: Path, file: Path, drawing: Drawing) -> str:
     except UnreadableFile as error:
         return f"the stimulus cannot be read: {error}"
     if not changed:
-        return "every pixel is the same: what differs is what the file says of itself"
+        return "every pixel is the same: only the file's metadata differ"
     return f"the largest pixel difference is {largest:.0f} of 255, {100 * changed / total:.2g} % of the values differ"
 
 
@@ -284,17 +292,17 @@ def edited_entries(
     model: MorphModel,
     again: Path | None,
 ) -> list[str]:
-    """Say which entries of a sidecar are not what they would be if it were written now, each with both values.
+    """List the sidecar entries that differ from those written now, each with both values.
 
-    `again` is what was drawn, None where its bytes are not those recorded: then figures of the pixels differ too and
-    are not compared.
+    `again` is the new stimulus; None if its bytes differ from the recorded ones, and then figures of pixels are not
+    compared.
     """
-    told = [f"{entry} is none of a sidecar's entries" for entry in document if entry not in KNOWN]
+    told = [f"{entry} is not an entry of a sidecar" for entry in document if entry not in KNOWN]
     made_from = made_from_of(document)
     if made_from != document["made_from_sha256"]:
         told.append(
-            f"made_from_sha256 is {str(document['made_from_sha256'])[:16]}, what the sidecar tells comes to "
-            f"{made_from[:16]}: it was edited"
+            f"made_from_sha256 is {str(document['made_from_sha256'])[:16]}, the digest of the entries is "
+            f"{made_from[:16]}: the sidecar was edited"
         )
     told += _compared({"model_id": model.model_id, "identity": model.identity}, document["model"], "model")
     told += _beside(document, sidecar, drawing)
@@ -316,17 +324,17 @@ def edited_entries(
 
 
 def other_versions(document: Mapping[str, Any]) -> list[str]:
-    """Say which packages had another version when the sidecar was written, or are in one list alone."""
+    """List the packages whose versions differ from those in the sidecar."""
     now, then = versions(), document["versions"]
     return [
-        f"{name} was {then.get(name, 'not told')}, here it is {now.get(name, 'not installed')}"
+        f"{name} was {then.get(name, 'not recorded')}, here it is {now.get(name, 'not installed')}"
         for name in dict.fromkeys((*then, *now))
         if then.get(name) != now.get(name)
     ]
 
 
 def _compared(found: Any, recorded: Any, name: str, close: bool = False) -> Iterator[str]:
-    """Say where `recorded` is not what was `found`; numbers need only be near each other where `close`."""
+    """Yield the differences between `found` and `recorded`; with `close`, numbers may differ by rounding."""
     if isinstance(found, Mapping) and isinstance(recorded, Mapping):
         for key in dict.fromkeys((*found, *recorded)):
             if key in found or (name, key) not in ELSEWHERE:
@@ -340,11 +348,11 @@ def _compared(found: Any, recorded: Any, name: str, close: bool = False) -> Iter
 
 def _short(value: Any) -> str:
     text = json.dumps(value, ensure_ascii=False)
-    return text if len(text) <= LONGEST_TOLD else f"{text[:LONGEST_TOLD]}..."
+    return text if len(text) <= LONGEST_VALUE else f"{text[:LONGEST_VALUE]}..."
 
 
 def _beside(document: Mapping[str, Any], sidecar: Path, drawing: Drawing) -> Iterator[str]:
-    """Say where what stands inside the stimulus, or in its row of the manifest, is not what the sidecar tells."""
+    """Yield the differences of the sidecar from the entries inside the stimulus and from its manifest row."""
     picture = sidecar.parent / str(document["output"].get("file", ""))
     inside = essentials_in(picture) if picture.is_file() else None
     if inside is not None:
@@ -364,7 +372,7 @@ def _beside(document: Mapping[str, Any], sidecar: Path, drawing: Drawing) -> Ite
 
 
 def _row(sidecar: Path, name: str) -> dict[str, str]:
-    """Give a stimulus' row of the manifest of its set, an empty one where there is none."""
+    """Return a stimulus's row of its set's manifest; an empty one if there is none."""
     folder = sidecar.parent
     for _ in range(name.count("/")):
         folder = folder.parent

@@ -1,4 +1,4 @@
-"""The faces a stimulus verb starts from: rows of a table of loadings, or the frames of a clip, encoded."""
+"""Read the faces of a stimulus verb: rows of a table of loadings, or encoded frames of a clip (ours)."""
 
 from __future__ import annotations
 
@@ -23,15 +23,27 @@ from morphspace.steps import Steps
 from morphspace.stimuli.drawing import UNFIT
 from morphspace.stimuli.table_checks import check_table
 
-FRAME_RATE_HZ = 25.0  # where neither the request, the table nor the model tells it
-LISTED = 3  # names a message gives before it stops
+FRAME_RATE_HZ = 25.0  # Hz; used if neither request, table nor model has a frame rate
+LISTED = 3  # names listed in a message
 RIGHTS = ("consent", "licence")
 
 
 @dataclass(frozen=True, eq=False)
 class Faces:
-    """Rows to start from: `names`, `loadings_sd` (n, k) SD, what they are called together, the rate in Hz, and where
-    they came from (`inputs`, name to SHA-256).
+    """Faces to start from.
+
+    Attributes
+    ----------
+    name
+        Name of the table or clip.
+    names
+        n names of the rows.
+    loadings_sd
+        (n, k), SD.
+    frame_rate_hz
+        Frame rate of the rows.
+    inputs
+        Source files, name to SHA-256.
     """
 
     name: str
@@ -42,26 +54,27 @@ class Faces:
     notes: tuple[str, ...] = ()
 
     def stimuli(self, video: str | None) -> list[tuple[str, slice]]:
-        """Give the stimuli: each row by itself, or all rows as one motion where a `video` suffix is given."""
+        """Return the stimuli: each row by itself, or all rows as one motion if a `video` suffix is given."""
         if video is None:
             return [(name, slice(row, row + 1)) for row, name in enumerate(file_names(self.names))]
         return [(motion_name(self.name), slice(None))]
 
 
 def notes_on_identity(model: MorphModel, clip: Clip) -> tuple[str, ...]:
-    """Say where a clip says that it shows somebody else than the model does."""
+    """Note if a clip shows another person than the model."""
     told = clip.sidecar.identity
     if told is None or told == model.identity:
         return ()
     return (
-        f"the clip {clip.name} shows {told}, the model shows {model.identity}: make sure that this is meant",
+        f"the clip {clip.name} shows {told}, the model shows {model.identity}: check that this is intended",
     )
 
 
 def rights_of(model: MorphModel, clip: Clip) -> dict[str, Any]:
-    """Give consent and licence of what a stimulus shows: the face is the model's, the rest of the picture the clip's.
+    """Return consent and licence of a stimulus: the face is the model's, the surrounding picture the clip's.
 
-    Where they differ each says whose it is; the clip's are named as the clip where it shows the same person.
+    If they differ, each is listed with its person; for the same person the clip's entry is listed under the clip's
+    name.
     """
     told = clip.sidecar.identity
     other = told if told not in (None, model.identity) else f"the clip {clip.name}"
@@ -76,13 +89,13 @@ def rights_of(model: MorphModel, clip: Clip) -> dict[str, Any]:
 
 
 def motion_name(name: str) -> str:
-    """Give the name of a table or clip as that of a file, `motion` where a set has a file of its own called so."""
+    """Convert the name of a table or clip to a file name; `motion` if a set reserves that name."""
     (word,) = file_names([name])
     return "motion" if word.casefold() in KEPT_STEMS else word
 
 
 def file_names(names: Sequence[str]) -> tuple[str, ...]:
-    """Give names of frames as names of files: folders joined by underscores, as is what no file can be called."""
+    """Convert frame names to file names: folders and invalid characters become underscores."""
     return tuple(UNFIT.sub("_", name.replace("/", "_")).strip(". ") or "_" for name in names)
 
 
@@ -94,15 +107,25 @@ def faces_of(
     crop: tuple[int, int, int, int] | None = None,
     frame_rate_hz: float | None = None,
 ) -> Steps[Faces]:
-    """Read the faces of a table or encode those of a clip; `frames` names the ones wanted, none for all.
+    """Read the faces of a table, or encode those of a clip.
 
-    Raises `BadInput` where neither or both are given, or a frame is not there.
+    Parameters
+    ----------
+    frames
+        Names of the selected frames; empty for all.
+    crop
+        (x, y, w, h) px, cut out of the clip's pictures first.
+    frame_rate_hz
+        Frame rate; None for that of the table, clip or model.
+
+    Raises
+    ------
+    BadInput
+        If neither or both of table and clip are given, or a frame is missing.
     """
     if (table is None) == (not clip):
         given = "neither was given" if table is None else "both were given"
-        raise BadInput(
-            f"the faces to start from are a table (--loadings) or a clip (--clip), {given}: give one"
-        )
+        raise BadInput(f"the faces come from a table (--loadings) or a clip (--clip); {given}. Give one")
     check_rate(frame_rate_hz)
     faces = _of_table(model, table) if table is not None else (yield from _of_clip(model, clip, frames, crop))
     if frame_rate_hz is not None:
@@ -114,7 +137,7 @@ def _of_table(model: MorphModel, path: Path) -> Faces:
     table = read_loadings_table(path)
     notes = check_table(model, table, path)
     if not table.frame_names:
-        raise BadInput(f"{path} has no rows: nothing to draw")
+        raise BadInput(f"{path} has 0 rows; expected at least one. Give a table with loadings")
     rate = (
         (table.document or {}).get("frame_rate_hz") or model.provenance.get("frame_rate_hz") or FRAME_RATE_HZ
     )
@@ -164,7 +187,7 @@ def _chosen(faces: Faces, frames: tuple[str, ...]) -> Faces:
 
 
 def frames_of(source: FramedClip, frames: tuple[str, ...]) -> FramedClip:
-    """Give the clip of these frames, in its own order. Raises `BadInput` where one is not there."""
+    """Select frames of a clip, in the clip's order. Raises `BadInput` if one is missing."""
     check_frames(frames, source.names, source.clip.name)
     wanted = set(frames)
     places = [place for place, name in enumerate(source.names) if name in wanted]
@@ -172,18 +195,18 @@ def frames_of(source: FramedClip, frames: tuple[str, ...]) -> FramedClip:
 
 
 def check_frames(frames: Sequence[str], names: Sequence[str], where: str) -> None:
-    """Raise `BadInput` where a frame that was asked for is not there, or is asked for twice."""
+    """Check that each requested frame exists and is requested once. Raises `BadInput` otherwise."""
     for frame in frames:
         if frame not in names:
             listed = ", ".join(names[:LISTED])
             raise BadInput(
-                f"{where} has no frame {frame!r}: its frames are {listed} and so on ({len(names)} in all)"
+                f"{where} has no frame {frame!r}; expected one of its {len(names)}, such as {listed}"
             )
         if list(frames).count(frame) > 1:
-            raise BadInput(f"the frame {frame!r} was given twice: give each once")
+            raise BadInput(f"the frame {frame!r} was given twice. Give each once")
 
 
 def check_rate(frame_rate_hz: float | None) -> None:
-    """Raise `BadInput` for a frame rate no video has."""
+    """Check that a frame rate is above 0 and at most 1000 Hz. Raises `BadInput` otherwise."""
     if frame_rate_hz is not None and not 0 < frame_rate_hz <= 1000:
-        raise BadInput(f"a frame rate of {frame_rate_hz:g} Hz cannot be used: give one above 0, at most 1000")
+        raise BadInput(f"the frame rate is {frame_rate_hz:g} Hz; expected above 0, at most 1000")

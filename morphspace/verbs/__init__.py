@@ -1,4 +1,4 @@
-"""One verb, one file: a frozen request and a `run` that does it. The command line and scripts call the same ones.
+"""Each file is one verb: a frozen request, and `run`, a generator of steps that returns an `Outcome`.
 
-A run is a generator of steps that returns an `Outcome`; see `morphspace.steps`.
+The command line and scripts use the same requests; see `morphspace.steps`.
 """

@@ -1,4 +1,4 @@
-"""batch: a recipe becomes a stimulus set, planned whole, drawn in parallel, and resumed after an interruption."""
+"""batch: draw the stimulus set of a recipe; plan it whole, draw it in parallel, and resume after an interruption."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ if TYPE_CHECKING:
 
 @declared
 class BatchRequest:
-    """Make the stimulus set of RECIPE: a .yaml that crosses factors, or a .csv with one stimulus a row.
+    """Make the stimulus set of RECIPE: a .yaml that crosses factors, or a .csv with one stimulus per row.
 
-    Everything is checked before anything is drawn. A batch that was stopped goes on with the same command.
+    Everything is checked before anything is drawn. The same command resumes a stopped batch.
     """
 
     recipe: Annotated[Path, Argument("RECIPE"), Help("The recipe (.yaml, .csv).")]
@@ -29,16 +29,16 @@ class BatchRequest:
         Ge(1),
         Le(1024),
         NotAnOption(),
-        Help("Processes that draw [default: as the verbs' --workers]."),
+        Help("Number of processes that draw [default: as the verbs' --workers]."),
     ] = None
     is_plan: Annotated[
-        bool, Option("--plan"), Help("Show what would be made, how long and how large; make nothing.")
+        bool, Option("--plan"), Help("Show number, duration and size of the stimuli; draw nothing.")
     ] = False
     is_meant: Annotated[bool, Option("--yes"), Help("Make more than 100,000 stimuli without asking.")] = False
 
 
 def run(request: BatchRequest) -> Steps[Outcome]:
-    """Plan the recipe and make all of it, or show the plan alone. Returns an `Outcome`."""
+    """Plan the recipe and draw all of it, or show the plan alone."""
     from morphspace.outcome import Outcome
     from morphspace.sets import batch
     from morphspace.steps import Step

@@ -1,4 +1,4 @@
-"""blend-avatar: k identities blended into one controllable face that belongs to nobody (Nagle section 4)."""
+"""blend-avatar: blend several identities into one controllable face of no real person (Nagle section 4)."""
 
 from __future__ import annotations
 
@@ -23,14 +23,14 @@ if TYPE_CHECKING:
 
 SUFFIX = ".morph"
 NO_FINDER = (
-    "blended without what finds faces: the keypoints are the sources', and no landmarks were learned; run `morphspace "
-    "models fetch` once for better, or give --landmarks none to say that this is meant"
+    "blended without face detection: the keypoints are the sources', and no landmarks were learned; run `morphspace "
+    "models fetch` once to enable it, or give --landmarks none to hide this note"
 )
 
 
 @declared
 class BlendAvatarRequest:
-    """Blend the identities of several models with keypoints into one face that belongs to nobody."""
+    """Blend the identities of several models with keypoints into one face of no real person."""
 
     models: Annotated[
         tuple[ClipText, ...],
@@ -41,77 +41,88 @@ class BlendAvatarRequest:
     weights: Annotated[
         tuple[float, ...] | None,
         Option(metavar="W,W,..."),
-        Help("How much of each identity, in the order of the models [default: the same of all]."),
+        Help("Weight of each identity, in the order of the models [default: equal]."),
     ] = None
     faceframe: Annotated[
         str,
         Option(metavar="mean|source|NAME"),
         Help(
-            "Onto which keypoints all are aligned: the weighted mean, those of whose expression it is, or of an "
-            "identity."
+            "The keypoints onto which all faces are aligned: the weighted mean, those of the expression's person, or "
+            "of an identity."
         ),
     ] = "mean"
     reference: Annotated[
         str | None,
         Option(metavar="NAME"),
-        Help("The identity on whose mean face the others are laid [default: the one nearest to all others]."),
+        Help(
+            "The identity to whose mean face the others are warped [default: the one nearest to all others]."
+        ),
     ] = None
     expressions: Annotated[
         int | None,
         Ge(1),
         Spelled("all"),
         Help(
-            "How many of each identity, so that three give three times so many; spread out over what each can show. "
+            "Number of expressions of each identity, spread over its range; three identities give three times as many. "
             "all: every training frame."
         ),
     ] = 40
-    method: Annotated[MimicryMethod, Help("How expressions are carried over, as in `morphspace mimic`.")] = (
-        "auto"
-    )
-    max_sd: Annotated[float, Gt(0), Help("Draw each loading smoothly inside so many SD.")] = 3.0
+    method: Annotated[
+        MimicryMethod, Help("Method of transferring expressions, as in `morphspace mimic`.")
+    ] = "auto"
+    max_sd: Annotated[
+        float, Gt(0), Help("Bound of each loading, SD; larger loadings are compressed smoothly.")
+    ] = 3.0
     sharpen: Annotated[
         float | None,
         Ge(0),
         Le(3),
         Spelled("auto"),
-        Help("Amount of the unsharp mask; auto: as sharp as the sources are."),
+        Help("Amount of the unsharp mask, a factor; auto: as sharp as the sources."),
     ] = None
     surround: Annotated[
         str | None,
         Option(metavar="NAME|flat"),
-        Help("Whose hair, ears, neck and background stay, or flat grey [default: the reference identity's]."),
+        Help(
+            "The identity whose hair, ears, neck and background are used, or flat grey [default: the reference "
+            "identity's]."
+        ),
     ] = None
     correspondence: Annotated[
         Literal["expression", "rest"],
         Help(
-            "How people are matched. rest: as their mean faces are; expression: at the mouth also anew in each "
+            "How faces are matched. rest: by the mean faces; expression: the mouth also in each "
             "expression, by landmarks (`keypoints --auto`) and flow."
         ),
     ] = "expression"
     flow: Annotated[
-        str, OneOf(NAMES), Help("The flow estimator, between the people and of the final model.")
+        str, OneOf(NAMES), Help("The flow estimator between identities and of the final model.")
     ] = DEFAULT
     components: Annotated[
-        int, Ge(1), Le(10_000), Option("-k", "--components"), Help("The most components to keep.")
+        int, Ge(1), Le(10_000), Option("-k", "--components"), Help("Largest number of components.")
     ] = 50
     clips: Annotated[
         tuple[ClipText, ...] | None,
         Option(metavar="CLIP"),
         Help(
-            "The clip a model was built from, once for each model in their order: its frames are used as they are, "
-            "not as the model draws them."
+            "The clip of each model, in the order of the models: its original frames are used, "
+            "not the model's renderings."
         ),
     ] = None
     landmarks: Annotated[
-        Literal["auto", "none"], Help("Whether the face is looked for in the blended pictures.")
+        Literal["auto", "none"], Help("Whether faces are detected in the blended pictures.")
     ] = "auto"
-    identity: Annotated[str, Help("What the avatar is called.")] = "avatar"
+    identity: Annotated[str, Help("Name of the avatar.")] = "avatar"
     report: Annotated[Path | None, Help("The HTML report [default: beside the model].")] = None
-    work_folder: Annotated[Path | None, Option("--work-dir"), Help("Keep finished blends here.")] = None
+    work_folder: Annotated[
+        Path | None,
+        Option("--work-dir"),
+        Help("Folder for finished blends, from which a stopped run resumes."),
+    ] = None
 
 
 def run(request: BlendAvatarRequest) -> Steps[Outcome]:
-    """Blend, build, and write the model and its page. Returns an `Outcome`."""
+    """Blend the identities, build a model of them, and write the model and its page."""
     from morphspace.avatar import AvatarSettings, blend_steps
     from morphspace.avatar.build import checked
     from morphspace.cache import work_folder
@@ -126,7 +137,7 @@ def run(request: BlendAvatarRequest) -> Steps[Outcome]:
     paths = [Path(given) for given in request.models]
     if not request.output.name:
         raise BadInput(
-            f"the output {request.output} is a folder: give a file to write, such as avatar{SUFFIX}"
+            f"the output {request.output} is a folder. Give a file to write, such as avatar{SUFFIX}"
         )
     report = request.report or request.output.with_suffix(".html")
     check_file(request.output, SUFFIX, paths)
@@ -158,7 +169,7 @@ def run(request: BlendAvatarRequest) -> Steps[Outcome]:
 
 
 def _clips(request: BlendAvatarRequest, models: Sequence[MorphModel]) -> list[FramedClip] | None:
-    """Open the clips the models were built from. Raises `BadInput` where there is not one for each."""
+    """Open the clips from which the models were built. Raises `BadInput` unless there is one for each."""
     from morphspace.avatar.originals import check_clips
     from morphspace.model.encode import framed_for
 
@@ -190,10 +201,10 @@ def _outcome(
     lines = (
         f"{request.output}: {model.identity}, blended of {shares}; {len(avatar.expressions)} expressions, "
         f"{model.size[0]}x{model.size[1]}, {model.rank} components",
-        f"laid on {avatar.identities[avatar.reference_identity]}; hair, ears, neck and background of "
+        f"warped to {avatar.identities[avatar.reference_identity]}; hair, ears, neck and background of "
         + ("nobody (flat grey)" if avatar.surround is None else avatar.identities[avatar.surround])
-        + f"; in {left_out} expressions somebody is left out",
-        f"sharpness, against the sources': {drawn} as the model draws it; its pictures {plain} plain, {pictures} "
+        + f"; in {left_out} expressions an identity is left out",
+        f"sharpness relative to the sources: {drawn} rendered by the model; blended pictures {plain} plain, {pictures} "
         f"sharpened by {avatar.sharpen:.2f}",
         f"report: {report}",
     )

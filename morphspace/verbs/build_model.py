@@ -1,4 +1,4 @@
-"""build-model: from a clip or photographs of one person to a controllable face model."""
+"""build-model: build a controllable face model from a clip or photographs of one person."""
 
 from __future__ import annotations
 
@@ -28,9 +28,12 @@ class BuildModelRequest:
     ] = None
     report: Annotated[Path | None, Help("The HTML report [default: beside the model].")] = None
     components: Annotated[
-        int, Ge(1), Le(10_000), Option("-k", "--components"), Help("The most components to keep.")
+        int, Ge(1), Le(10_000), Option("-k", "--components"), Help("Largest number of components.")
     ] = 50
-    size: Annotated[Size | None, Help("Model frame size; scales to cover and crops to the middle.")] = None
+    size: Annotated[
+        Size | None,
+        Help("Size of the model's frames, px; frames are scaled to cover it and cropped centrally."),
+    ] = None
     crop: Annotated[
         Crop | Literal["auto"] | None,
         Option(metavar="auto|X,Y,W,H"),
@@ -41,22 +44,22 @@ class BuildModelRequest:
     landmarks: Annotated[
         Literal["auto", "anchor", "none"],
         Help(
-            "Whether the face is found in every frame, for registration, mask and keypoints; auto does where "
+            "Whether the face is detected in every frame, for registration, mask and keypoints; auto does so if "
             "`morphspace models fetch` has been run; anchor also holds the flow to the landmarks."
         ),
     ] = "auto"
-    mask: Annotated[Path | None, Help("Grey picture on the reference, white where the face is.")] = None
+    mask: Annotated[Path | None, Help("Grey picture of the reference's size, white on the face.")] = None
     reference: Annotated[
         str | None, Option(metavar="FILE"), Help("The reference frame [default: chosen, with the reason].")
     ] = None
     registration: Annotated[
         Literal["none", "similarity", "affine"],
         Option("--register"),
-        Help("How head movement is taken out."),
+        Help("How head movement is removed."),
     ] = "similarity"
     flow: Annotated[str, OneOf(NAMES), Help("The flow estimator, as in `morphspace flow`.")] = DEFAULT
     start: Annotated[
-        Literal["auto", "none"], Help("Whether hard frames are tried again from a neighbour's flow.")
+        Literal["auto", "none"], Help("Whether difficult frames are repeated from a neighbour's flow.")
     ] = "auto"
     warp_weight: Annotated[
         float | None,
@@ -65,12 +68,18 @@ class BuildModelRequest:
         Spelled("auto"),
         Help("Colour per px of warp in the inner product; auto cross-validates."),
     ] = None
-    work_folder: Annotated[Path | None, Option("--work-dir"), Help("Keep finished frames here.")] = None
-    identity: Annotated[str | None, Help("Who it is [default: from clip.json, else the clip's name].")] = None
+    work_folder: Annotated[
+        Path | None,
+        Option("--work-dir"),
+        Help("Folder for finished frames, from which a stopped run resumes."),
+    ] = None
+    identity: Annotated[
+        str | None, Help("Name of the person [default: from clip.json, else the clip's name].")
+    ] = None
 
 
 def run(request: BuildModelRequest) -> Steps[Outcome]:
-    """Build the model, write it and its report. Returns an `Outcome`."""
+    """Build the model; write the model and its report."""
     import numpy as np
 
     from morphspace import cache
@@ -99,8 +108,8 @@ def run(request: BuildModelRequest) -> Steps[Outcome]:
         f"{output}: {model.identity}, {len(clip)} frames, {model.size[0]}x{model.size[1]}, "
         f"{model.rank} components ({share:.1%} of the variance)",
         f"reference {build.choice.name}: {build.choice.reason}",
-        f"training frames come back at {np.median(psnr):.1f} dB (median), {np.percentile(psnr, 10):.1f} dB (10th "
-        f"percentile); {build.fold_fractions.mean():.2%} of the warp folds",
+        f"training frames are reconstructed at {np.median(psnr):.1f} dB (median), {np.percentile(psnr, 10):.1f} dB "
+        f"(10th percentile); {build.fold_fractions.mean():.2%} of the warp folds",
         f"flow {model.flow}: confidence {build.confidences.mean():.2f} (mean), {build.confidences.min():.2f} (lowest); "
         f"{int(build.from_neighbour.sum())} frames kept from a neighbour's start",
         *_found_lines(build),
@@ -134,7 +143,7 @@ def run(request: BuildModelRequest) -> Steps[Outcome]:
 
 
 def _found_lines(build: Build) -> tuple[str, ...]:
-    """Say in how many frames the face was found, and what the crop is where it was found."""
+    """Describe in how many frames the face was found, and the crop if it was found automatically."""
     framing = build.model.provenance["framing"]
     lines: tuple[str, ...] = ()
     if "crop_found" in framing:

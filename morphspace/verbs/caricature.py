@@ -1,4 +1,4 @@
-"""caricature: faces of a person further from, or nearer to, that person's mean face, and on its other side."""
+"""caricature: move a person's faces away from or towards that person's mean face, or to its other side."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
 @declared
 class CaricatureRequest:
-    """Draw faces of MODEL's person further from the mean face, nearer to it, and on its other side.
+    """Draw faces of MODEL's person further from the mean face, nearer to it, or on its other side.
 
     A gain of 1 is veridical, above 1 a caricature, between 0 and 1 an anti-caricature, below 0 an anti-face.
     """
@@ -42,7 +42,11 @@ class CaricatureRequest:
         Option(metavar="CLIP"),
         Help("The faces: a folder, a quoted glob, images (give --clip for each) or a video of the person."),
     ] = ()
-    gains: Annotated[tuple[float, ...], Option("--gain", metavar="G,G,..."), Help("Gains, one set each.")] = (
+    gains: Annotated[
+        tuple[float, ...],
+        Option("--gain", metavar="G,G,..."),
+        Help("Gains, factors on the loadings; one set of stimuli each."),
+    ] = (
         0.5,
         1.0,
         1.5,
@@ -61,7 +65,7 @@ class CaricatureRequest:
     components: Annotated[
         str | None,
         Option(metavar="1-5,8"),
-        Help("Only these components, from 1; the others stay [default: all]."),
+        Help("Only these components, from 1; the others do not change [default: all]."),
     ] = None
     region: Annotated[
         str | None,
@@ -78,7 +82,7 @@ class CaricatureRequest:
 
 
 def run(request: CaricatureRequest) -> Steps[Outcome]:
-    """Write the set of stimuli. Returns an `Outcome`."""
+    """Write the set of stimuli."""
     from morphspace.sets.complete import write_set
 
     planned = yield from plan(request)
@@ -86,7 +90,7 @@ def run(request: CaricatureRequest) -> Steps[Outcome]:
 
 
 def plan(request: CaricatureRequest, model: MorphModel | None = None) -> Steps[PlannedSet]:
-    """Read and check everything, draw nothing; `model` where it is open already. Returns a `PlannedSet`."""
+    """Read and check all inputs without drawing; `model` is the open model, or None."""
     from morphspace.model.model import load_model
     from morphspace.sets.planned import plan_of
     from morphspace.sets.sources import faces_of
@@ -125,14 +129,14 @@ def plan(request: CaricatureRequest, model: MorphModel | None = None) -> Steps[P
 
 
 def check_gains(gains: tuple[float, ...] | None, what: str) -> None:
-    """Raise `BadInput` where a gain is given twice."""
+    """Check that each gain is given once. Raises `BadInput` otherwise."""
     for gain in gains or ():
         if (gains or ()).count(gain) > 1:
-            raise BadInput(f"the {what} {gain:g} was given twice: give each once")
+            raise BadInput(f"the {what} {gain:g} was given twice. Give each once")
 
 
 def _gains(request: CaricatureRequest) -> list[dict[str, float]]:
-    """Give the gains of each version: one for all, or one of the warp and one of the texture, crossed."""
+    """Return the gains of each version: one for all loadings, or those of warp and texture, crossed."""
     if request.warp_gains is None and request.texture_gains is None:
         return [{"gain": gain} for gain in request.gains]
     warps = request.warp_gains if request.warp_gains is not None else request.gains

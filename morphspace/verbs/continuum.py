@@ -1,7 +1,7 @@
-"""continuum: the faces between two, in steps of equal size, with the linear morph as a control.
+"""continuum: draw the faces between two, in steps of equal size, with the linear morph as a control.
 
-The two are rows of tables or pictures, shown with one model; or the mean faces of two models, for which a model of the
-pair is built and kept beside the stimuli.
+The two faces are rows of tables or pictures, shown with one model; or the mean faces of two models. For two models, a
+model of the pair is built and stored beside the stimuli.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from morphspace.sets.planned import PlannedSet
     from morphspace.steps import Steps
 
-EQUAL = 0.03  # of their mean: steps that differ by more are not called equal
+EQUAL = 0.03  # share of the mean step; steps that deviate more are not reported as equal
 
 
 @declared
@@ -30,8 +30,8 @@ class ContinuumRequest:
     """Draw the faces between A and B, in steps of equal size.
 
     A and B are two models (.morph, with keypoints: their mean faces), or with --model two pictures or two rows of
-    tables (TABLE.csv:FRAME). steps.csv says what each step changes, shape and colour apart, and what a plain
-    cross-fade of the two ends would.
+    tables (TABLE.csv:FRAME). steps.csv gives the change of each step, shape and colour apart, and that of a plain
+    cross-fade of the two ends.
     """
 
     first: Annotated[
@@ -41,18 +41,18 @@ class ContinuumRequest:
     output: Folder
     model: Annotated[
         Path | None,
-        Help("The model that A and B, pictures or rows TABLE.csv:FRAME, are shown with."),
+        Help("The model that draws A and B if they are pictures or rows TABLE.csv:FRAME."),
     ] = None
     steps: Annotated[
         int,
         Ge(1),
         Le(10_000),
-        Help("How many steps; the faces are one more: 10 steps are 0 %, 10 %, ... 100 %."),
+        Help("Number of steps; 10 steps give the 11 faces 0 %, 10 %, ... 100 %."),
     ] = 10
     spacing: Annotated[
         Literal["loadings", "warp", "ciede2000", "ssim"],
         Help(
-            "In what the steps are equal: loadings (the linear morph), warp (rms px), or as the files show it, mean "
+            "The measure in which steps are equal: loadings (the linear morph), warp (rms px), or in the files, mean "
             "CIEDE2000 or 1 - SSIM inside the mask."
         ),
     ] = "ciede2000"
@@ -60,18 +60,17 @@ class ContinuumRequest:
         tuple[float, ...] | None,
         Option("--at", metavar="P,P,..."),
         Help(
-            "Positions instead of equal steps, such as 0,0.25,0.5,1: 0 is A, 1 is B, beyond them the difference goes "
-            "on."
+            "Positions instead of equal steps, such as 0,0.25,0.5,1: 0 is A, 1 is B, other values extrapolate."
         ),
     ] = None
     control: Annotated[
-        Literal["linear", "none"], Help("The linear morph in as many steps, as linear_*, beside.")
+        Literal["linear", "none"], Help("Whether to add the linear morph in as many steps, as linear_*.")
     ] = "linear"
     crop: Annotated[Crop | None, Help("Cut this box out of the pictures first, px.")] = None
 
 
 def run(request: ContinuumRequest) -> Steps[Outcome]:
-    """Write the set of stimuli. Returns an `Outcome`."""
+    """Write the set of stimuli."""
     from morphspace.sets.complete import write_set
     from morphspace.sets.continuum import STEPS_NAME, unevenness_of
 
@@ -87,10 +86,10 @@ def run(request: ContinuumRequest) -> Steps[Outcome]:
 
 
 def plan(request: ContinuumRequest, model: MorphModel | None = None) -> Steps[PlannedSet]:
-    """Read and check everything, space the steps and measure them; `model` where it is open already.
+    """Read and check all inputs, space the steps and measure them; `model` is the open model, or None.
 
-    The model of a pair is to lie in the output folder: `keep_model` puts it there, unless another is in the way; a
-    batch may name it otherwise. Returns a `PlannedSet`.
+    The path of a pair's model is in the output folder; `keep_model` writes it unless another model is there. A batch
+    may rename it.
     """
     from morphspace.sets.continuum import (
         COLUMNS,
@@ -150,8 +149,8 @@ def _notes(request: ContinuumRequest, table: Mapping[str, Sequence[Any]]) -> tup
     if off <= EQUAL:
         return ()
     return (
-        f"the steps differ by up to {off:.1%} from their mean in {request.spacing}, which 8-bit colours may not let be "
-        "finer: take fewer steps, or ends that differ more",
+        f"the steps differ by up to {off:.1%} from their mean in {request.spacing}, which 8-bit colours may "
+        "cause: use fewer steps, or ends that differ more",
     )
 
 
@@ -165,7 +164,7 @@ def _said(request: ContinuumRequest, planned: PlannedSet) -> tuple[str, ...]:
     steps, moved = column_of(table, "continuum", "ciede2000"), column_of(table, "continuum", "warp_rms_px")
     faded = column_of(table, "continuum", "crossfade_ciede2000")
     how = (
-        "as they were given"
+        "as given"
         if request.positions is not None
         else f"equal in {request.spacing} to {off['continuum']:.1%}"
     )

@@ -1,7 +1,7 @@
-"""demo: the whole path on drawn faces, in under a minute, ending in a page to open.
+"""demo: run the whole path on drawn faces in under a minute, ending with a page to open.
 
-Two drawn people and one animated photograph (scikit-image's `astronaut`, public domain) are turned into models; each
-model's faces are taken apart, put together again, exaggerated, swept and drawn at random.
+Two drawn people and one animated photograph (scikit-image's `astronaut`, public domain) are made into models. The
+faces of each model are encoded, reconstructed, exaggerated, swept and drawn at random.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ COMPONENTS = 15
 
 @declared
 class DemoRequest:
-    """Draw actors, build their models, render, and write a page to open: the whole path in a minute."""
+    """Draw actors, build their models, render faces, and write a page to open: the whole path in a minute."""
 
     output: Annotated[Path, Option("-o", "--output"), Help("The folder to write into.")] = Path(
         "morphspace-demo"
@@ -31,7 +31,7 @@ class DemoRequest:
 
 
 def run(request: DemoRequest) -> Steps[Outcome]:
-    """Draw, build, render, and write index.html. Returns an `Outcome`."""
+    """Draw actors, build models, render, and write index.html."""
     from morphspace.model.model import load_model
     from morphspace.outcome import Outcome
     from morphspace.report.demo_page import demo_pictures, demo_section, write_demo_page
@@ -52,7 +52,7 @@ def run(request: DemoRequest) -> Steps[Outcome]:
                 sources=(str(actors / name),),
                 output=request.output / f"{name}.morph",
                 components=COMPONENTS,
-                landmarks="none",  # drawn faces come at rest and cropped; the demo is the same on every machine
+                landmarks="none",  # drawn faces are aligned and cropped; the demo is the same on every machine
             )
         )
         model = load_model(request.output / f"{name}.morph")

@@ -1,4 +1,4 @@
-"""encode: from images of a person to a table of loadings on that person's model."""
+"""encode: convert images of a person to a table of loadings on that person's model."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 @declared
 class EncodeRequest:
-    """Take the images of CLIP apart into a table of loadings on MODEL, in SD."""
+    """Encode the images of CLIP as a table of loadings on MODEL, in SD."""
 
     model: Model
     sources: Clip
@@ -27,7 +27,7 @@ class EncodeRequest:
 
 
 def run(request: EncodeRequest) -> Steps[Outcome]:
-    """Encode and write the table and its sidecar. Returns an `Outcome`."""
+    """Encode the images; write the table and its sidecar."""
     import numpy as np
 
     from morphspace.io.sidecars import read_json_object
@@ -52,7 +52,9 @@ def run(request: EncodeRequest) -> Steps[Outcome]:
     check_file(request.output, ".csv", source.clip.paths)
     make_folder(request.output.parent)
     if sidecar.exists() and read_json_object(sidecar).get("format") != LOADINGS_FORMAT:
-        raise BadInput(f"{sidecar} would be replaced, and is no table's sidecar: give the table another name")
+        raise BadInput(
+            f"{sidecar} would be replaced, but is not a table's sidecar. Give the table another name"
+        )
     parts: list[Loadings] = []
     own = drawn_by(model, source)
     for encoded in encoded_frames(model, source, own):
@@ -80,7 +82,7 @@ def run(request: EncodeRequest) -> Steps[Outcome]:
 def write_loadings(
     output: Path, loadings: Loadings, model: MorphModel, model_path: Path, inputs: dict[str, str]
 ) -> tuple[Path, Path]:
-    """Write loadings as a table in SD with a sidecar that names the model and the inputs."""
+    """Write loadings as a table in SD, with a sidecar that names the model and the inputs."""
     from morphspace.io.tables import write_loadings_table
     from morphspace.outcome import versions
     from morphspace.storage import digest_of_file

@@ -1,6 +1,6 @@
-"""flow: where each point of one picture is found in another, as a file, in figures and as a picture.
+"""flow: find each point of one picture in another; write the field as a file, as figures and as a picture.
 
-Or, with scenes whose true flow is known, how far estimators are off: the table every paper on flow prints.
+With scenes of known flow it measures the errors of estimators instead: the usual table of papers on optical flow.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 @declared
 class FlowRequest:
-    """Find where each point of picture A is found in picture B, in px on A's grid."""
+    """Find each point of picture A in picture B, in px on A's grid."""
 
     pictures: Annotated[tuple[Path, ...], Argument("A B"), Help("The two pictures.")] = ()
     output: Annotated[
@@ -34,18 +34,20 @@ class FlowRequest:
         tuple[Annotated[str, OneOf(NAMES)], ...],
         Option("--preset"),
         Help(
-            f"The estimator; {', '.join(STOCK)} are stock ones, for comparison. With --bench: give several."
+            f"The estimator; {', '.join(STOCK)} are standard ones, for comparison. With --bench: one or several."
         ),
     ] = (DEFAULT,)
-    both: Annotated[bool, Help("Find B to A as well (OUTPUT.back.flo), and the error there and back.")] = (
-        False
-    )
-    picture: Annotated[Path | None, Help("Draw it: colours, warped grid, B warped back (.png).")] = None
+    both: Annotated[
+        bool, Help("Also find the flow from B to A (OUTPUT.back.flo) and the error of both in sequence.")
+    ] = False
+    picture: Annotated[
+        Path | None, Help("Picture of the flow: colours, warped grid, B warped back (.png).")
+    ] = None
     start: Annotated[
         Path | None,
         Spelled("auto"),
         Help(
-            "A field on A's grid to start from (.flo, .exr); auto: coarse to fine, and the landmarks' spline where "
+            "Initial field on A's grid (.flo, .exr); auto: coarse to fine, and the landmarks' spline if "
             "there is one."
         ),
     ] = None
@@ -53,44 +55,41 @@ class FlowRequest:
         tuple[Path, Path] | None,
         Option(metavar="A.tem B.tem"),
         Help(
-            "The same points marked in A and in B (.tem; .csv or .txt with x,y per line): their spline is tried as a "
-            "start, and the better flow kept."
+            "The same points marked in A and in B (.tem; .csv or .txt with x,y per line, px): their spline is tried "
+            "as a start, and the better flow is used."
         ),
     ] = None
     backend: Annotated[
         str,
         OneOf(BACKENDS),
-        Help("What fast, balanced and accurate run on; torch takes a GPU where there is one."),
+        Help("The library that computes fast, balanced and accurate; torch uses a GPU if there is one."),
     ] = DEFAULT_BACKEND
     bench: Annotated[
         Path | None,
         Help(
-            "Instead of A B: a folder of scenes with true flow, in Middlebury's layout; prints errors and times."
+            "Instead of A B: a folder of scenes with true flow, in Middlebury's layout; reports errors and times."
         ),
     ] = None
 
     def check(self) -> None:
-        """Raise `BadInput` for settings that do not go together."""
+        """Check that the settings go together. Raises `BadInput` otherwise."""
         if self.bench is not None:
             if self.pictures or self.both or self.picture or self.start or self.landmarks:
                 raise BadInput(
-                    "--bench measures scenes: give it no A B, --both, --picture, --start or --landmarks"
+                    "--bench measures scenes; expected no A B, --both, --picture, --start or --landmarks. Leave them "
+                    "out"
                 )
             return
         if len(self.pictures) != 2:
-            raise BadInput(
-                f"a flow goes from one picture, A, to another, B: {len(self.pictures)} given, 2 expected"
-            )
+            raise BadInput(f"{len(self.pictures)} pictures were given; expected 2, A and B")
         if self.output is None:
-            raise BadInput("the flow has nowhere to go: give -o with a name in .flo or .exr")
+            raise BadInput("no output was given. Give -o with a name in .flo or .exr")
         if len(self.presets) != 1:
-            raise BadInput(
-                f"{len(self.presets)} presets were given: one flow has one, several are for --bench"
-            )
+            raise BadInput(f"{len(self.presets)} presets were given; expected 1. Several are for --bench")
 
 
 def run(request: FlowRequest) -> Steps[Outcome]:
-    """Find the flow, write it with a record beside it, and draw it. Returns an `Outcome` with its figures."""
+    """Find the flow, write it with a record, and draw it."""
     from morphspace.flow import methods
     from morphspace.flow.starts import WITHOUT_START
     from morphspace.io.flow_fields import write_flows
@@ -103,14 +102,14 @@ def run(request: FlowRequest) -> Steps[Outcome]:
 
     if request.bench is not None:
         return (yield from measured_scenes(request.bench, request.presets, request.output, request.backend))
-    assert request.output is not None  # `check` sees to it
+    assert request.output is not None  # `check` ensures it
     (reference, frame), (preset,), output = request.pictures, request.presets, request.output
     back = output.with_name(f"{output.stem}.back{output.suffix}")
     method = methods.named(preset, request.backend)
     given = "landmarks" if request.landmarks is not None else "a field" if request.start is not None else None
     if given is not None and preset in WITHOUT_START:
         able = [name for name in methods.NAMES if name not in WITHOUT_START]
-        raise BadInput(f"{preset} cannot start from {given}: choose one of {', '.join(able)}")
+        raise BadInput(f"{preset} cannot start from {given}. Choose one of {', '.join(able)}")
     inputs = _inputs(request)
     _check_outputs(output, back if request.both else None, request.picture, tuple(inputs.values()))
     pair = read_pair(reference, frame, request.start, request.landmarks)
@@ -128,7 +127,7 @@ def run(request: FlowRequest) -> Steps[Outcome]:
         written.append(request.picture)
     digests = {name: digest_of_file(path) for name, path in inputs.items()}
     folder, name = output.parent, f"{output.name}.{RECORD_NAME}"
-    beside = [path for path in written if path.parent == folder]  # a picture may lie in another folder
+    beside = [path for path in written if path.parent == folder]  # a picture may be in another folder
     record = write_record(folder, "flow", _settings(request, found.started_from), digests, beside, name)
     lines = (
         f"{output}: from {reference.name} to {frame.name} by {preset}",
@@ -148,7 +147,7 @@ def _inputs(request: FlowRequest) -> dict[str, Path]:
 
 
 def _settings(request: FlowRequest, taken: list[str]) -> dict[str, Any]:
-    """Give what was asked for; with landmarks also their files' names and which start was `taken`, there and back."""
+    """Return the settings, with the names of landmark files and the start used (`taken`) in each direction."""
     settings = {"preset": request.presets[0], "backend": request.backend, "both": request.both}
     if request.landmarks is None:
         return settings

@@ -1,4 +1,4 @@
-"""grid: faces over two components, crossed: what they do together."""
+"""grid: draw faces over two crossed components to show their joint effect."""
 
 from __future__ import annotations
 
@@ -31,13 +31,15 @@ class GridRequest:
     output: Folder
     components: Annotated[tuple[Component, Component], Help("The two components, from 1.")] = (1, 2)
     amount_sd: Annotated[
-        tuple[Amount, Amount], Option("-n", "--amount-sd"), Help("How far either way along each, SD.")
+        tuple[Amount, Amount],
+        Option("-n", "--amount-sd"),
+        Help("Largest distance from the mean along each component, SD."),
     ] = (3.0, 3.0)
-    steps: Annotated[tuple[Count, Count], Help("Faces along each.")] = (5, 5)
+    steps: Annotated[tuple[Count, Count], Help("Number of faces along each component.")] = (5, 5)
 
 
 def run(request: GridRequest) -> Steps[Outcome]:
-    """Write the set of stimuli. Returns an `Outcome`."""
+    """Write the set of stimuli."""
     from morphspace.sets.complete import write_set
 
     planned = yield from plan(request)
@@ -45,12 +47,12 @@ def run(request: GridRequest) -> Steps[Outcome]:
 
 
 def asked(request: GridRequest) -> int:
-    """Give how many stimuli are asked for outright."""
+    """Return the number of stimuli requested."""
     return math.prod(request.steps)
 
 
 def plan(request: GridRequest, model: MorphModel | None = None) -> Steps[PlannedSet]:
-    """Check everything, draw nothing; `model` where it is open already. Returns a `PlannedSet`."""
+    """Check all settings without drawing; `model` is the open model, or None."""
     import numpy as np
 
     from morphspace.model.model import load_model
@@ -62,7 +64,7 @@ def plan(request: GridRequest, model: MorphModel | None = None) -> Steps[Planned
     first, second = request.components
     if first == second or not all(1 <= component <= model.rank for component in request.components):
         raise BadInput(
-            f"a grid over components {first} and {second} cannot be drawn: give two different ones of 1 to {model.rank}"
+            f"the components are {first} and {second}; expected two different ones from 1 to {model.rank}"
         )
     rows, columns = (
         np.linspace(-amount, amount, steps).tolist()

@@ -1,4 +1,4 @@
-"""info: what a model is, where it came from, and whether its file is whole."""
+"""info: describe a model and its origin, and check its file."""
 
 from __future__ import annotations
 
@@ -12,20 +12,20 @@ if TYPE_CHECKING:
     from morphspace.outcome import Outcome
     from morphspace.steps import Steps
 
-SHOWN = 10  # components listed one by one
+LISTED_COMPONENTS = 10
 _FACEFRAMES = {"mean": "that is the mean of all", "source": "of whose expression it is"}
 
 
 @declared
 class InfoRequest:
-    """Tell what MODEL is, where it came from, and whether its file is whole."""
+    """Describe MODEL and its origin, and check that its file is undamaged."""
 
     model: Model
 
 
 def _faceframe_words(model: MorphModel) -> str:
     if model.faceframe is None:
-        return "not marked: `morphspace keypoints MODEL --auto` marks it, or --set or --from"
+        return "not marked. Mark it with `morphspace keypoints MODEL --auto`, or --set or --from"
     from morphspace.model.keypoints import point_names
 
     points = ", ".join(
@@ -36,14 +36,14 @@ def _faceframe_words(model: MorphModel) -> str:
 
 
 def _registration_words(model: MorphModel) -> str:
-    """Say how the frames came to lie on each other; blended pictures do so as they are made."""
+    """Describe the alignment of the frames; blended pictures are drawn aligned."""
     if _blend_of(model) is None:
         return f"registration {model.registration}"
     return "blended onto one faceframe"
 
 
 def _blend_lines(model: MorphModel) -> tuple[str, ...]:
-    """Say of a blend whose faces it is made of, how much of each, and how."""
+    """Describe a blend: the identities, their weights, and the method."""
     blend = _blend_of(model)
     if blend is None:
         return ()
@@ -52,8 +52,8 @@ def _blend_lines(model: MorphModel) -> tuple[str, ...]:
     return (
         "sources    " + ", ".join(f"{name} {weight:.2g}" for name, weight in shares),
         f"surround   hair, ears, neck and background of {surround}",
-        f"method     {blend['method']}, bounded to {blend['max_sd']:g} SD; laid on {blend['reference']}"
-        f"{', mouths anew in each expression' if blend.get('correspondence') == 'expression' else ''}, aligned onto "
+        f"method     {blend['method']}, bounded to {blend['max_sd']:g} SD; warped to {blend['reference']}"
+        f"{', mouths matched in each expression' if blend.get('correspondence') == 'expression' else ''}, aligned onto "
         f"the faceframe {_FACEFRAMES.get(blend['faceframe'], 'of ' + blend['faceframe'])}; sharpened by "
         f"{blend['sharpen']:.2f}",
     )
@@ -65,7 +65,7 @@ def _blend_of(model: MorphModel) -> Mapping[str, Any] | None:
 
 
 def run(request: InfoRequest) -> Steps[Outcome]:
-    """Read the model, check its digest, and give an `Outcome` with its description."""
+    """Read the model, check its digest, and describe it."""
     from morphspace.model.file import check_content
     from morphspace.model.landmarks import error_summary
     from morphspace.model.model import load_model, points_document
@@ -87,13 +87,16 @@ def run(request: InfoRequest) -> Steps[Outcome]:
         f"components {model.rank}, {model.basis.variance_explained:.1%} of the variance, warp weight "
         f"{model.warp_weight:.4g} colour/px",
         "shares     "
-        + (", ".join(f"{share:.1%}" for share in shares[:SHOWN]) or "none: the frames do not differ"),
+        + (
+            ", ".join(f"{share:.1%}" for share in shares[:LISTED_COMPONENTS])
+            or "none: the frames do not differ"
+        ),
         f"consent    {origin.get('consent') or 'not told'}",
         f"licence    {origin.get('licence') or 'not told'}",
         "faceframe  " + _faceframe_words(model),
         "landmarks  "
         + (
-            "not learned: `morphspace keypoints MODEL --auto` learns them, `mimic --method guided` wants them"
+            "not learned; `mimic --method guided` needs them. Learn them with `morphspace keypoints MODEL --auto`"
             if model.landmarks is None
             else f"{model.landmarks.faces} faces, {error_summary(model.landmarks)}"
         ),

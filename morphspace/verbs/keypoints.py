@@ -1,4 +1,4 @@
-"""keypoints: the three points on a model's mean face, which place it and link it to other models."""
+"""keypoints: set the three points on a model's mean face that place it and link it to other models."""
 
 from __future__ import annotations
 
@@ -26,14 +26,14 @@ class KeypointsRequest:
     automatic: Annotated[
         bool,
         Option("--auto"),
-        Help("Find them: in the mean and in up to 40 training faces, each carried to the mean (median)."),
+        Help("Detect them in the mean and in up to 40 training faces, each warped to the mean (median)."),
     ] = False
     points: Annotated[
         tuple[Pair, Pair, Pair] | None,
         Separated(" ", "78,101 124,100 101,140"),
         Option("--set", metavar='"X,Y X,Y X,Y"'),
         Help(
-            "Right eye, left eye, philtrum in px of the mean face; right is the subject's, left in the picture."
+            "Right eye, left eye, philtrum, px of the mean face; the subject's right eye is on the left of the picture."
         ),
     ] = None
     file: Annotated[
@@ -44,18 +44,18 @@ class KeypointsRequest:
     lip: Annotated[
         Literal["philtrum", "upper-lip"] | None,
         Help(
-            "What the third point is, or which one to take of a template: the philtrum's centre, or the bottom of the "
+            "The third point, marked or to be taken from a template: the philtrum's centre, or the bottom of the "
             "upper lip (WebMorph) [default: upper-lip for a .tem of three points, else philtrum]."
         ),
     ] = None
     y_axis: Annotated[
         Literal["auto", "up"],
         Option("--negate-y", gives="up"),
-        Help("With --from: y counts up in the file. A .tps is recognised without it."),
+        Help("With --from: y points up in the file. A .tps file does not need it."),
     ] = "auto"
     on: Annotated[
         Literal["mean", "reference"],
-        Help("What the points were marked on: the mean face, or the reference frame's own picture."),
+        Help("The picture on which the points were marked: the mean face, or the original reference frame."),
     ] = "mean"
     output: Annotated[
         Path | None, Option("-o", "--output"), Help("The new .morph file [default: MODEL itself].")
@@ -63,9 +63,9 @@ class KeypointsRequest:
 
 
 def run(request: KeypointsRequest, detector: Detector | None = None) -> Steps[Outcome]:
-    """Set the keypoints, write the model and a picture of them; or show them. Returns an `Outcome`.
+    """Set the keypoints, write the model and a picture of them; or show the present ones.
 
-    `detector` None takes the package's own, with --auto.
+    `detector` None selects the package's own detector if --auto is given.
     """
     import numpy as np
 
@@ -84,7 +84,7 @@ def run(request: KeypointsRequest, detector: Detector | None = None) -> Steps[Ou
     from morphspace.sets.protect import check_file
 
     _check(request)
-    check_content(request.model)  # a damaged model must not be written again as a whole one
+    check_content(request.model)  # a damaged model must not be written again with a valid digest
     model = load_model(request.model)
     if not request.automatic and request.points is None and request.file is None:
         return _shown(request.model, model)
@@ -112,7 +112,7 @@ def run(request: KeypointsRequest, detector: Detector | None = None) -> Steps[Ou
     if model.faceframe is not None:
         moved = np.hypot(*(found.faceframe.points - model.faceframe.points).T)
         far = ", ".join(f"{value:.1f}" for value in moved)
-        lines += (f"they were there before, and moved by {far} px",)
+        lines += (f"the previous points moved by {far} px",)
     document = {
         **_document(changed),
         "output": str(output),
@@ -133,23 +133,23 @@ def _check(request: KeypointsRequest) -> None:
     given = [name for name, is_given in sources.items() if is_given]
     if len(given) > 1:
         raise BadInput(
-            f"{' and '.join(given)} were given: the keypoints come from one source, leave out the other"
+            f"{' and '.join(given)} were given; expected one source of keypoints. Leave out the other"
         )
     if request.y_axis != "auto" and request.file is None:
-        raise BadInput("--negate-y was given without --from: it says how y counts in a file")
+        raise BadInput("--negate-y was given without --from. Give --from, or leave it out")
     if request.automatic and (request.lip == "upper-lip" or request.on == "reference"):
         raise BadInput(
-            "--auto finds the philtrum on the mean face: leave out --lip and --on, or mark the points"
+            "--auto finds the philtrum on the mean face. Leave out --lip and --on, or mark the points"
         )
     if not given and (request.lip or request.output or request.on != "mean"):
-        raise BadInput("no keypoints were given: give --auto, --set or --from")
+        raise BadInput("no keypoints were given. Give --auto, --set or --from")
 
 
 def _shown(path: Path, model: MorphModel) -> Outcome:
     from morphspace.outcome import Outcome
 
     if model.faceframe is None:
-        lines: tuple[str, ...] = (f"{path}: no keypoints are set: give --auto, --set or --from",)
+        lines: tuple[str, ...] = (f"{path}: no keypoints are set. Give --auto, --set or --from",)
     else:
         lines = (f"{path}: keypoints of {model.identity}", *_lines(model))
     return Outcome(lines, _document(model))

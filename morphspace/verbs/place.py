@@ -1,4 +1,4 @@
-"""place: rendered faces put back into the frames they came from; hair, background and size of the picture stay."""
+"""place: put rendered faces back into their original frames; hair, background and picture size stay."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 @declared
 class PlaceRequest:
-    """Put faces of MODEL back into the frames of CLIP: hair, background and size of the picture stay."""
+    """Put faces of MODEL back into the frames of CLIP; hair, background and picture size stay."""
 
     model: Model
     clip: Clip
@@ -34,9 +34,9 @@ class PlaceRequest:
     loadings: Annotated[
         Path | None,
         Option(metavar="TABLE.csv"),
-        Help("Faces to put there, rows named after the frames [default: the frames' own]."),
+        Help("Table of the faces, rows named after the frames [default: the frames' own faces]."),
     ] = None
-    gain: Annotated[float, Help("Multiply all loadings.")] = 1.0
+    gain: Annotated[float, Help("Factor on all loadings.")] = 1.0
     frames: Frames = ()
     video: VideoOrPictures = None
     frame_rate_hz: FrameRate = None
@@ -44,7 +44,7 @@ class PlaceRequest:
 
 
 def run(request: PlaceRequest) -> Steps[Outcome]:
-    """Write the set of stimuli. Returns an `Outcome`."""
+    """Write the set of stimuli."""
     from morphspace.sets.complete import write_set
 
     planned = yield from plan(request)
@@ -52,7 +52,7 @@ def run(request: PlaceRequest) -> Steps[Outcome]:
 
 
 def plan(request: PlaceRequest, model: MorphModel | None = None) -> Steps[PlannedSet]:
-    """Read, align and check everything, draw nothing; `model` where it is open already. Returns a `PlannedSet`."""
+    """Read, align and check all inputs without drawing; `model` is the open model, or None."""
     import numpy as np
 
     from morphspace.io.stimulus_sidecars import ORIGINAL_IDENTITY

@@ -1,4 +1,4 @@
-"""reconstruct: take every frame apart into loadings and put it together again, beside the original, with figures."""
+"""reconstruct: encode every frame, render its loadings, and measure the difference from the original."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 @declared
 class ReconstructRequest:
-    """Put every image of CLIP together again from its loadings, beside the original, with figures."""
+    """Reconstruct every image of CLIP from its loadings, beside the original, with figures."""
 
     model: Model
     sources: Clip
@@ -26,13 +26,13 @@ class ReconstructRequest:
         int | None,
         Ge(1),
         Option("-k", "--components"),
-        Help("At most so many components, the first [default: all]."),
+        Help("Largest number of components, from the first [default: all]."),
     ] = None
     crop: FrameCrop = None
 
 
 def run(request: ReconstructRequest) -> Steps[Outcome]:
-    """Write aligned/, reconstructed/, placed/, metrics.csv and loadings.csv. Returns an `Outcome`."""
+    """Write aligned/, reconstructed/, placed/, metrics.csv and loadings.csv."""
     import numpy as np
 
     from morphspace.grid import warp

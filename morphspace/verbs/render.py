@@ -1,4 +1,4 @@
-"""render: from a table of loadings to images or a video. Edit the table, and the face does what it says."""
+"""render: draw the faces of a table of loadings as images or a video; edited loadings give new faces."""
 
 from __future__ import annotations
 
@@ -26,9 +26,9 @@ class RenderRequest:
     output: Annotated[
         Path,
         Option("-o", "--output"),
-        Help("A folder of images, or a video: .mkv lossless, .mp4 for people."),
+        Help("A folder for images, or a video: .mkv is lossless, .mp4 plays everywhere."),
     ]
-    gain: Annotated[float, Help("Multiply all loadings: above 1 caricatures.")] = 1.0
+    gain: Annotated[float, Help("Factor on all loadings; above 1 caricatures.")] = 1.0
     frame_rate_hz: FrameRate = None
     video: Annotated[
         VideoSuffix | None, NotAnOption(), Help("Draw one video, not images, as a stimulus of a set.")
@@ -36,26 +36,26 @@ class RenderRequest:
 
 
 def run(request: RenderRequest) -> Steps[Outcome]:
-    """Render and write. Returns an `Outcome`."""
+    """Draw the faces and write them."""
     from morphspace.sets.complete import write_set
 
     video = next((one for one in VIDEO_SUFFIXES if one == request.output.suffix.lower()), None)
     if request.output.suffix and video is None and not request.output.is_dir():
         raise BadInput(
-            f"{request.output} ends in {request.output.suffix}: give a folder for images, or a video in "
+            f"{request.output} ends in {request.output.suffix}. Give a folder for images, or a video in "
             f"{' or '.join(VIDEO_SUFFIXES)}"
         )
     if video is None:
         planned = yield from plan(request)
         return (yield from write_set(planned, request.output))
     if request.output.is_dir():
-        raise BadInput(f"{request.output} is a folder: give the name of a video, or a folder without suffix")
+        raise BadInput(f"{request.output} is a folder. Give the name of a video, or a folder without suffix")
     planned = yield from plan(dataclasses.replace(request, video=video))
     return (yield from _lone_video(planned, request.output))
 
 
 def plan(request: RenderRequest, model: MorphModel | None = None) -> Steps[PlannedSet]:
-    """Read and check everything, draw nothing; `model` where it is open already. Returns a `PlannedSet`."""
+    """Read and check all inputs without drawing; `model` is the open model, or None."""
     from morphspace.io.images import picture_names
     from morphspace.model.model import load_model
     from morphspace.sets.planned import plan_of
@@ -94,7 +94,7 @@ def plan(request: RenderRequest, model: MorphModel | None = None) -> Steps[Plann
 
 
 def _lone_video(planned: PlannedSet, output: Path) -> Steps[Outcome]:
-    """Write the one video of a set under a name of its own, with its sidecar and record beside it."""
+    """Write the only video of a set under its own name, with its sidecar and record beside it."""
     from morphspace.outcome import RECORD_NAME, Outcome, write_record
     from morphspace.report.set_page import CLIPPED_PERCENT
     from morphspace.sets.draw import make_stimulus

@@ -1,4 +1,4 @@
-"""replay: draw a stimulus again from its sidecar and compare the bytes, or say what differs."""
+"""replay: draw a stimulus again from its sidecar, compare the bytes, and list differences."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ if TYPE_CHECKING:
     from morphspace.outcome import Outcome
     from morphspace.steps import Steps
 
-DIFFERS = 3  # exit code: it was drawn again, and is not the same
+DIFFERS = 3  # exit code: the stimulus was drawn again and differs
 
 
 @declared
 class ReplayRequest:
     """Draw the stimulus of SIDECAR again and compare the bytes.
 
-    Exits 0 where they are the same, 3 where they differ; then it says what differs.
+    The exit code is 0 if they are the same, 3 if they differ; the differences are listed.
     """
 
     sidecar: Annotated[Path, Argument("SIDECAR"), Help("The .json beside a stimulus.")]
@@ -31,20 +31,17 @@ class ReplayRequest:
     clip: Annotated[
         tuple[ClipText, ...],
         Option(metavar="CLIP"),
-        Help("The clip whose frames faces were put back into, if it moved."),
+        Help("The clip behind the faces if it was moved."),
     ] = ()
     output: Annotated[
         Path | None,
         Option("-o", "--output"),
-        Help("Keep the new stimulus here [default: compare and drop it]."),
+        Help("File for the new stimulus [default: discard it]."),
     ] = None
 
 
 def run(request: ReplayRequest) -> Steps[Outcome]:
-    """Draw, compare, say. `document["same"]` tells whether the bytes and all entries are those of the sidecar.
-
-    Returns an `Outcome`.
-    """
+    """Draw the stimulus and compare it; `document["same"]` is True if the bytes and all sidecar entries agree."""
     from morphspace.outcome import Outcome
     from morphspace.sets.replay import replayed
 
@@ -52,7 +49,7 @@ def run(request: ReplayRequest) -> Steps[Outcome]:
     if again.same:
         first = "the same, byte for byte"
     elif again.same_bytes:
-        first = "the same, byte for byte, but its sidecar says something else"
+        first = "the same, byte for byte, but its sidecar differs"
     else:
         first = "not the same"
     lines = (f"{again.name}: {first}", *(f"  {words}" for words in (*again.differences, *again.others)))
@@ -65,9 +62,9 @@ def run(request: ReplayRequest) -> Steps[Outcome]:
         "others": list(again.others),
     }
     notes = {
-        "missing": (f"{again.file} is not there: what was drawn is compared with its sidecar alone",),
+        "missing": (f"{again.file} is missing: the new stimulus is compared with the sidecar alone",),
         "changed": (
-            f"{again.file} is not the file its sidecar describes: it was changed after it was written",
+            f"{again.file} is not the file that its sidecar describes: it was changed after it was written",
         ),
     }
     written = () if request.output is None else (request.output,)

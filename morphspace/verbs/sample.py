@@ -1,4 +1,4 @@
-"""sample: faces drawn at random from the distribution of the training faces."""
+"""sample: draw random faces from the distribution of the training faces."""
 
 from __future__ import annotations
 
@@ -18,23 +18,25 @@ if TYPE_CHECKING:
 
 @declared
 class SampleRequest:
-    """Draw faces at random from MODEL."""
+    """Draw random faces of MODEL."""
 
     model: Model
     output: Folder
-    count: Annotated[int, Ge(1), Le(100_000), Option("-n", "--count"), Help("How many faces.")] = 16
-    seed: Annotated[int, Ge(0), Help("The same seed gives the same faces.")] = 0
-    spread: Annotated[float, Ge(0), Le(100), Help("Scale of the distribution; 1 is the model's own.")] = 1.0
+    count: Annotated[int, Ge(1), Le(100_000), Option("-n", "--count"), Help("Number of faces.")] = 16
+    seed: Annotated[int, Ge(0), Help("Seed of the random faces.")] = 0
+    spread: Annotated[
+        float, Ge(0), Le(100), Help("Scale of the distribution, a factor; 1 is that of the training faces.")
+    ] = 1.0
     max_sd: Annotated[
         float | None,
         Gt(0),
         Le(1000),
-        Help("Draw again what lies further than so many SD along a component [default: keep all]."),
+        Help("Largest loading, SD; larger ones are drawn again [default: no limit]."),
     ] = None
 
 
 def run(request: SampleRequest) -> Steps[Outcome]:
-    """Write the set of stimuli. Returns an `Outcome`."""
+    """Write the set of stimuli."""
     from morphspace.sets.complete import write_set
 
     planned = yield from plan(request)
@@ -42,12 +44,12 @@ def run(request: SampleRequest) -> Steps[Outcome]:
 
 
 def asked(request: SampleRequest) -> int:
-    """Give how many stimuli are asked for outright."""
+    """Return the number of stimuli requested."""
     return request.count
 
 
 def plan(request: SampleRequest, model: MorphModel | None = None) -> Steps[PlannedSet]:
-    """Draw the numbers, not the pictures; `model` where it is open already. Returns a `PlannedSet`."""
+    """Draw the random loadings without pictures; `model` is the open model, or None."""
     import numpy as np
 
     from morphspace.model.model import load_model

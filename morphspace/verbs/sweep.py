@@ -1,4 +1,4 @@
-"""sweep: what each component does, from minus to plus n SD, as pictures and as a video that goes there and back."""
+"""sweep: show the effect of each component from minus to plus n SD, as pictures and as a looping video."""
 
 from __future__ import annotations
 
@@ -19,27 +19,31 @@ if TYPE_CHECKING:
     from morphspace.steps import Steps
     from morphspace.stimuli.drawing import Drawing
 
-VIDEO_FRAMES = 50  # there and back again, so that it loops
+VIDEO_FRAMES = 50  # frames forth and back, so that the video loops
 FRAME_RATE_HZ = 25.0
 
 
 @declared
 class SweepRequest:
-    """Show what each component of MODEL does, as pictures and videos."""
+    """Show the effect of each component of MODEL as pictures and videos."""
 
     model: Model
     output: Folder
     components: Annotated[
-        int, Ge(1), Le(10_000), Option("-k", "--components"), Help("How many components, from the first.")
+        int, Ge(1), Le(10_000), Option("-k", "--components"), Help("Number of components, from the first.")
     ] = 10
     amount_sd: Annotated[
-        float, Gt(0), Le(100), Option("-n", "--amount-sd"), Help("From minus to plus so many SD.")
+        float,
+        Gt(0),
+        Le(100),
+        Option("-n", "--amount-sd"),
+        Help("Largest amount, SD; the sweep goes from minus to plus it."),
     ] = 3.0
-    steps: Annotated[int, Ge(2), Le(1000), Help("Pictures a component.")] = 7
+    steps: Annotated[int, Ge(2), Le(1000), Help("Number of pictures per component.")] = 7
 
 
 def run(request: SweepRequest) -> Steps[Outcome]:
-    """Write the set of stimuli: pictures pcNNN_AMOUNTsd and a video pcNNN a component. Returns an `Outcome`."""
+    """Write the set of stimuli: for each component, pictures pcNNN_AMOUNTsd and a video pcNNN."""
     from morphspace.sets.complete import write_set
 
     planned = yield from plan(request)
@@ -47,7 +51,7 @@ def run(request: SweepRequest) -> Steps[Outcome]:
 
 
 def plan(request: SweepRequest, model: MorphModel | None = None) -> Steps[PlannedSet]:
-    """Check everything, draw nothing; `model` where it is open already. Returns a `PlannedSet`."""
+    """Check all settings without drawing; `model` is the open model, or None."""
     import numpy as np
 
     from morphspace.model.model import load_model
@@ -56,7 +60,7 @@ def plan(request: SweepRequest, model: MorphModel | None = None) -> Steps[Planne
     yield from ()
     model = model or load_model(request.model)
     if model.rank == 0:
-        raise BadInput(f"{model.identity} has rank 0, nothing to sweep: build it from frames that differ")
+        raise BadInput(f"{model.identity} has rank 0; expected at least 1. Build it from frames that differ")
     amounts_sd = np.linspace(-request.amount_sd, request.amount_sd, request.steps)
     count = min(request.components, model.rank)
     drawings = [
@@ -67,7 +71,7 @@ def plan(request: SweepRequest, model: MorphModel | None = None) -> Steps[Planne
     notes = (
         ()
         if count == request.components
-        else (f"{request.components} components were asked for, {model.identity} has {count}: all are swept",)
+        else (f"{request.components} components were requested, {model.identity} has {count}: all are swept",)
     )
     return plan_of(request, "sweep", model, drawings, notes=notes)
 
@@ -93,5 +97,5 @@ def _of_component(
 
 
 def amount_words(amount_sd: float) -> str:
-    """Give an amount as a part of a name, with its sign; 0 has none."""
+    """Format an amount, SD, with its sign as a part of a name; 0 has none."""
     return "0" if abs(amount_sd) < 1e-9 else f"{amount_sd:+g}"

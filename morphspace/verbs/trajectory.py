@@ -1,4 +1,4 @@
-"""trajectory: recorded motion as data: smoothed, retimed, joined, looped, averaged, caricatured, scrambled, drawn."""
+"""trajectory: smooth, retime, join, loop, average, caricature or scramble recorded motion, and draw it."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 class TrajectoryRequest:
     """Change the motion of each TABLE of loadings on MODEL, and draw it.
 
-    Operations are done in the order given:
+    Operations are applied in the given order:
     """
 
     model: Model
@@ -34,19 +34,19 @@ class TrajectoryRequest:
     output: Annotated[
         Path,
         Option("-o", "--output", metavar="DIR|NEW.csv"),
-        Help("A folder for the videos, or a new table of loadings, to go on with."),
+        Help("A folder for the videos, or a new table of loadings (.csv)."),
     ]
     operations: Annotated[
         tuple[str | Mapping[str, Any], ...],
         Option("--op", metavar="WORD[=NUMBER]"),
-        Help("An operation, see above; may be given again."),
+        Help("An operation, see above; may be repeated."),
     ] = ()
     guide: Annotated[
         Path | None,
         Option(metavar="TABLE"),
         Help(
-            "Loadings on MODEL too: whose timing `timing` takes on; or the mean trajectory for `caricature` of one "
-            "table."
+            "A table of loadings on MODEL: provides the timing for `timing`, or the mean trajectory for `caricature` "
+            "of one table."
         ),
     ] = None
     frame_rate_hz: Annotated[
@@ -54,33 +54,33 @@ class TrajectoryRequest:
         Gt(0),
         Le(1000),
         Option("--frame-rate", metavar="HZ"),
-        Help("Frame rate of the tables, Hz [default: what they say, else 25]."),
+        Help("Frame rate of the tables, Hz [default: from their sidecars, else 25]."),
     ] = None
-    seed: Annotated[int, Ge(0), Help("The same seed scrambles alike.")] = 0
-    video: Annotated[VideoSuffix, Help(".mkv is lossless, .mp4 for people; the point may be left out.")] = (
-        ".mp4"
-    )
+    seed: Annotated[int, Ge(0), Help("Seed of the random order; the same seed gives the same result.")] = 0
+    video: Annotated[
+        VideoSuffix, Help("Type of video: .mkv is lossless, .mp4 plays everywhere; the point is optional.")
+    ] = ".mp4"
 
 
 TrajectoryRequest.__doc__ = f"{inspect.cleandoc(TrajectoryRequest.__doc__ or '')}\n\n\b\n{operations_help()}"
 
 
 def run(request: TrajectoryRequest) -> Steps[Outcome]:
-    """Write the set of stimuli, or the table. Returns an `Outcome`."""
+    """Write the set of stimuli, or the table."""
     from morphspace.sets.complete import write_set
 
     if request.output.suffix.lower() == ".csv":
         return (yield from _write_table(request))
     if request.output.suffix and not request.output.is_dir():
         raise BadInput(
-            f"{request.output} ends in {request.output.suffix}: give a folder for videos, or a table (.csv)"
+            f"{request.output} ends in {request.output.suffix}. Give a folder for videos, or a table (.csv)"
         )
     planned = yield from plan(request)
     return (yield from write_set(planned, request.output))
 
 
 def plan(request: TrajectoryRequest, model: MorphModel | None = None) -> Steps[PlannedSet]:
-    """Read and check everything, draw nothing; `model` where it is open already. Returns a `PlannedSet`."""
+    """Read and check all inputs without drawing; `model` is the open model, or None."""
     from morphspace.sets.motions import COLUMNS, told_of
     from morphspace.sets.planned import plan_of
     from morphspace.sets.sources import motion_name
@@ -107,7 +107,7 @@ def _opened(request: TrajectoryRequest) -> MorphModel:
     from morphspace.model.model import load_model
 
     if request.model.suffix.lower() == ".csv":
-        raise BadInput(f"{request.model} is a table: name the model first, then its tables")
+        raise BadInput(f"{request.model} is a table. Name the model first, then its tables")
     return load_model(request.model)
 
 
@@ -120,7 +120,7 @@ def _made(request: TrajectoryRequest, model: MorphModel) -> Steps[MadeMotions]:
 
 
 def _write_table(request: TrajectoryRequest) -> Steps[Outcome]:
-    """Write the new motion as a table of loadings, which any verb that takes one can go on with."""
+    """Write the new motion as a table of loadings, for any verb that reads one."""
     from morphspace.io.sidecars import read_json_object
     from morphspace.io.tables import LOADINGS_FORMAT, write_loadings_table
     from morphspace.outcome import Outcome, versions
@@ -135,13 +135,15 @@ def _write_table(request: TrajectoryRequest) -> Steps[Outcome]:
     made = yield from _made(request, model)
     if len(made.motions) > 1:
         raise BadInput(
-            f"{len(made.motions)} motions do not fit one table {request.output}: put them together with splice or "
+            f"{len(made.motions)} motions do not fit one table {request.output}. Join them with splice or "
             "average, or give one table"
         )
     make_folder(request.output.parent)
     sidecar = request.output.with_suffix(".json")
     if sidecar.exists() and read_json_object(sidecar).get("format") != LOADINGS_FORMAT:
-        raise BadInput(f"{sidecar} would be replaced, and is no table's sidecar: give the table another name")
+        raise BadInput(
+            f"{sidecar} would be replaced, but is not a table's sidecar. Give the table another name"
+        )
     motion = made.motions[0]
     weights = model.sd[: motion.loadings_sd.shape[1]]
     count = len(motion.loadings_sd)

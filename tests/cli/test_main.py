@@ -177,7 +177,10 @@ def test_info_names_the_keypoints_or_says_how_to_mark_them(model: Path, tmp_path
         line == "faceframe  right eye 20.0,28.1, left eye 40.0,28.0, philtrum 30.0,44.0 (px of the mean face)"
     )
     load_model(marked).with_faceframe(None).save(tmp_path / "n.morph")
-    assert "not marked: `morphspace keypoints MODEL --auto`" in run("info", tmp_path / "n.morph").stdout
+    assert (
+        "not marked. Mark it with `morphspace keypoints MODEL --auto`"
+        in run("info", tmp_path / "n.morph").stdout
+    )
 
 
 def test_render_refuses_a_table_of_another_model(actor: Path, model: Path, tmp_path: Path):

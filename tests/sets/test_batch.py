@@ -358,7 +358,7 @@ def test_a_plan_of_more_than_is_made_unasked_is_told(lab, tmp_path, monkeypatch)
     words = ["batch", recipe(lab, CROSSED), "-o", tmp_path / "out"]
     result = run(*words, "--plan")
     assert result.exit_code == 0 and "24 pictures" in result.stdout and "kB" in result.stdout
-    assert "more than 20: they are made only with --yes" in result.stdout
+    assert "more than 20 stimuli. Give --yes to make them" in result.stdout
     assert json.loads(run(*words, "--plan", "--json").stdout)["needs_yes"]
     assert run(*words).exit_code == 2 and not (tmp_path / "out").exists()
     monkeypatch.setattr(batch, "MOST_PLANNED", 22)

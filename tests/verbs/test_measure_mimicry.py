@@ -741,7 +741,7 @@ def test_files_that_are_not_ours_are_not_written_over(work, model, name):
     (work / "out").mkdir()
     (work / "out" / name).write_text('{"verb": "mimic"}')
     with pytest.raises(
-        BadInput, match=f"no folder of an earlier measure-mimicry, and its {name} would be written over"
+        BadInput, match=f"not the folder of an earlier measure-mimicry, and its {name} would be replaced"
     ):
         measured(work, given, given)
     assert {path.name: path.read_text() for path in (work / "out").iterdir()} == {name: '{"verb": "mimic"}'}
@@ -749,7 +749,7 @@ def test_files_that_are_not_ours_are_not_written_over(work, model, name):
 
 def test_nothing_is_written_among_the_frames_of_a_clip(work, model):
     given = clip(work, "out", 0.5 * motion(4), model), table(work, "b", 0.5 * motion(4, 1), model)
-    with pytest.raises(BadInput, match="out is one of the two clips: choose another output folder"):
+    with pytest.raises(BadInput, match="out is one of the two clips. Choose another output folder"):
         measured(work, *given)
     assert {path.suffix for path in (work / "out").iterdir()} == {".png"}
 
@@ -794,6 +794,6 @@ def test_an_input_is_never_written_over(work, model):
     (work / "out").mkdir()
     given = table(work / "out", "imitation", motion(), model)
     before = Path(given).read_bytes()
-    with pytest.raises(BadInput, match="one of the inputs and would be lost"):
+    with pytest.raises(BadInput, match="one of the inputs and would be replaced"):
         measured(work, given, given)
     assert Path(given).read_bytes() == before

@@ -584,7 +584,7 @@ def test_a_clip_without_a_face_is_refused_before_a_model_is_built_of_it(work, ac
     def blind(picture):
         looked.append(picture)
 
-    with pytest.raises(BadInput, match=r"--dst clip is a clip, and none of 3 frames .* clip\.json"):
+    with pytest.raises(BadInput, match=r"--dst clip is a clip, but none of 3 frames .* clip\.json"):
         request = MimicRequest(str(work / "a.morph"), given, work / "out")
         result_of(verb.run(request, blind))
     assert len(looked) == 3 and not (work / "out").exists()
@@ -599,7 +599,7 @@ def test_a_refusal_says_which_models_stay_and_the_next_run_takes_them(work, acto
         return points() if len(seen) == 1 else None
 
     request = MimicRequest(str(work / "a.morph"), given, work / "out")
-    with pytest.raises(BadInput, match=r"expected at least half.*stays in .*models \(clip\.morph\)"):
+    with pytest.raises(BadInput, match=r"expected at least half.*stay in .*models \(clip\.morph\)"):
         result_of(verb.run(request, one_face))
     stays = work / "out" / "models" / "clip.morph"
     assert load_model(stays).faceframe is None
@@ -837,9 +837,9 @@ def test_what_a_killed_run_left_unfinished_goes_and_other_settings_take_all_of_i
 def test_frames_in_the_output_folder_itself_are_refused(work, actor):
     given = clip(work, actor, actor.training.values[:3])
     before = sorted((work / "clip").iterdir())
-    with pytest.raises(BadInput, match="holds the frames that are read"):
+    with pytest.raises(BadInput, match="holds the input frames"):
         run(work, frames=given, output=work / "clip")
-    with pytest.raises(BadInput, match="holds the frames that are read"):
+    with pytest.raises(BadInput, match="holds the input frames"):
         run(work, frames=str(work / "clip" / "*.png"), output=work / "clip")
     assert sorted((work / "clip").iterdir()) == before
 

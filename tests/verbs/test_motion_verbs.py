@@ -243,7 +243,7 @@ def test_a_mean_trajectory_that_was_kept_serves_as_the_guide(files, tmp_path):
 @pytest.mark.parametrize(
     ("change", "said"),
     [
-        ({"tables": ("still.csv",)}, "1 frames, a motion has at least 2"),
+        ({"tables": ("still.csv",)}, "1 frames; expected at least 2"),
         ({"tables": ()}, "no table"),
         ({"tables": ("smile.csv", "fast.csv"), "operations": ("splice",)}, "rate=10 before splice"),
         ({"operations": ("speed=0",)}, "speed is 0"),
@@ -392,7 +392,7 @@ def test_the_model_of_another_pair_is_not_replaced(files, tmp_path):
     out.mkdir()
     kept = (files / "bob.morph").read_bytes()
     (out / "ann-bob.morph").write_bytes(kept)
-    with pytest.raises(BadInput, match="in the way"):
+    with pytest.raises(BadInput, match="is another model"):
         run(ContinuumRequest(str(files / "ann.morph"), str(files / "bob.morph"), out, steps=2))
     assert (out / "ann-bob.morph").read_bytes() == kept
 
