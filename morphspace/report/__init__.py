@@ -1,1 +1,1 @@
-"""What a verb shows of its work: pages, plots, pictures, and advice where something is off."""
+"""The visible results of a verb: pages, plots, pictures, and advice on problems."""

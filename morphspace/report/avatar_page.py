@@ -1,7 +1,7 @@
-"""The page of a blend: every version beside its blend, how sharp the blend is, and which versions were left out.
+"""The page of a blend: each version beside its blend, the sharpness, and the versions that were left out.
 
 The pixel average of the same pictures (Galton, Journal of the Anthropological Institute 8, 1878) stands beside the
-blend: it is what a blend without correspondence gives. The blend is that of Nagle section 4; the measures are ours.
+blend: it is a blend without correspondence. The blend is that of Nagle section 4; the measures are ours.
 """
 
 from __future__ import annotations
@@ -41,10 +41,18 @@ PICTURES_MADE = {
 
 @dataclass(frozen=True, eq=False)
 class ExpressionRow:
-    """One row of the contact sheet: pictures (h, w, 3) of expression number `index`.
+    """One row of the contact sheet: pictures (h, w, 3) of one expression.
 
-    `versions` one for each identity, aligned, as they were blended | `blend` | `pixel_average` of the same versions
-    with the same weights, without any warp.
+    Attributes
+    ----------
+    index
+        Number of the expression.
+    versions
+        The blended versions, aligned, one for each identity.
+    blend
+        The blend of the versions.
+    pixel_average
+        Average of the same versions with the same weights, without any warp.
     """
 
     index: int
@@ -55,15 +63,40 @@ class ExpressionRow:
 
 @dataclass(frozen=True, eq=False)
 class AvatarResult:
-    """A blend of k identities and n expressions as its verb made it.
+    """A blend of k identities and n expressions, with the figures of its page.
 
-    `model` the avatar | `identities` k names | `asked` (k,) weights asked for, sum 1 | `sources` (n,) whose each
-    expression is, and `frames` (n,) the name of the training frame there, in the order of the model's training rows |
-    `used` (n, k) weights of the versions' expressions, 0 where a version was left out | `plausibility` (n, k) 0 to 1
-    | `rows` of the contact sheet | `sharpness` variance of the Laplacian inside the mask, of "sources" (k,), "blend",
-    "pixel average" and, where known, "pictures" and "unsharpened" | `sharpen` the amount used | `surround` whose hair,
-    neck and background it has | `distances` between the mean faces, None where unknown | `notes` to read first |
-    `settings` name to value.
+    Attributes
+    ----------
+    model
+        The avatar.
+    identities
+        k names.
+    asked
+        (k,) requested weights, sum 1.
+    sources
+        (n,) index of the identity of each expression.
+    frames
+        (n,) name of its training frame, in the order of the model's training rows.
+    used
+        (n, k) weights of the versions, 0 for a version left out.
+    plausibility
+        (n, k), 0 to 1.
+    rows
+        Rows of the contact sheet.
+    sharpness
+        Variance of the Laplacian inside the mask, of "sources" (k,), "blend", "pixel average" and, if known,
+        "pictures"
+        and "unsharpened".
+    sharpen
+        Amount of the unsharp mask.
+    surround
+        Identity of hair, neck and background.
+    distances
+        Distances between the mean faces; None if unknown.
+    notes
+        Notes to read first.
+    settings
+        Name to value.
     """
 
     model: MorphModel
@@ -89,7 +122,7 @@ class AvatarResult:
 def avatar_result(
     avatar: Avatar, models: Sequence[MorphModel], settings: AvatarSettings
 ) -> Steps[AvatarResult]:
-    """Gather what the page shows of a blend of models. Return an `AvatarResult`."""
+    """Collect the contents of the page of a blend."""
     used = np.array([one.weights for one in avatar.expressions])
     picked = rows_shown(used, avatar.weights)
     rows = []
@@ -117,7 +150,7 @@ def avatar_result(
 
 
 def landmark_words(avatar: Avatar, has_detector: bool, path: Path) -> tuple[str, ...]:
-    """Return advice where the avatar, written to a path, has no landmarks."""
+    """Return advice if the avatar, written to a path, has no landmarks."""
     if avatar.model.landmarks is not None:
         return ()
     lacks = f"{avatar.model.identity} does not know its landmarks, which `mimic --method guided` wants"
@@ -166,7 +199,7 @@ class SheetRow:
 
 @dataclass(frozen=True, eq=False)
 class AvatarPage:
-    """What `avatar.html` shows of `made`: which part each version takes, pictures, tables, and components."""
+    """The contents of `avatar.html` for the blend `made`: shares of the versions, pictures, tables and components."""
 
     title: str
     made: AvatarResult
@@ -210,9 +243,9 @@ def avatar_page(made: AvatarResult) -> str:
 
 
 def rows_shown(used: AnyArray, asked: AnyArray, at_most: int = SHEET_ROWS) -> list[int]:
-    """Return which of n expressions the contact sheet shows, in order: evenly spread, and those with most left out.
+    """Select the expressions of the contact sheet, in order: evenly spread ones, and those with most left out.
 
-    `used` (n, k) and `asked` (k,) weights, as in `AvatarResult`. Ours.
+    `used` (n, k) and `asked` (k,) are weights, as in `AvatarResult`. Ours.
     """
     count = len(used)
     if count <= at_most:
@@ -226,9 +259,9 @@ def rows_shown(used: AnyArray, asked: AnyArray, at_most: int = SHEET_ROWS) -> li
 
 
 def parts_taken(used: AnyArray, asked: AnyArray) -> AnyArray:
-    """Return which part of its weight each version kept, (n, k) from 0, left out, to 1; an asked weight of 0 gives 1.
+    """Return the part of its weight that each version kept, (n, k), from 0 (left out) to 1; a weight of 0 gives 1.
 
-    Weights are shares of one, so where a version is left out the others' grow. The one that kept most counts as 1.
+    Weights sum to one, so the others grow if a version is left out. The version that kept most counts as 1.
     """
     takes_part = asked > 0
     kept = np.where(takes_part, used / np.where(takes_part, asked, 1), 0.0)
@@ -237,12 +270,12 @@ def parts_taken(used: AnyArray, asked: AnyArray) -> AnyArray:
 
 
 def source_sharpness(made: AvatarResult) -> float:
-    """Return the mean sharpness of the sources, by the weights asked for."""
+    """Return the mean sharpness of the sources, weighted by the requested weights."""
     return float(np.asarray(made.sharpness["sources"], np.float64) @ np.asarray(made.asked, np.float64))
 
 
 def sharp_shares(made: AvatarResult) -> dict[str, float]:
-    """Return the sharpness of each picture made as a share of the sources' weighted mean, NaN where that is 0."""
+    """Return the sharpness of each picture relative to the sources' weighted mean; NaN if that is 0."""
     mean = source_sharpness(made)
     return {
         name: float(value) / mean if mean > 0 else float("nan")
@@ -254,8 +287,8 @@ def sharp_shares(made: AvatarResult) -> dict[str, float]:
 def variance_between(loadings: AnyArray, sources: Sequence[int]) -> AnyArray:
     """Return the share of each component's variance (k,) between the sources: the correlation ratio, 0 to 1.
 
-    `loadings` (n, k), `sources` (n,) whose each row is. It is the between-groups sum of squares over the total
-    (Pearson's eta squared): near 0 a component shows expression alone, near 1 it separates the identities.
+    `loadings` (n, k); `sources` (n,) are the identities of the rows. The ratio is the between-groups sum of squares
+    over the total (Pearson's eta squared). Near 0 a component is pure expression, near 1 it separates the identities.
     """
     owners = np.asarray(sources)
     centred = loadings - loadings.mean(axis=0)
@@ -322,7 +355,7 @@ def _identity_rows(made: AvatarResult, taken: AnyArray) -> list[Sequence[str]]:
 
 
 def _distances(made: AvatarResult, distances: MeanDistances) -> dict[str, list[Sequence[str]]]:
-    """Give the rows of the tables of distances; of shape none where a model does not know its landmarks."""
+    """Return the rows of the tables of distances; shape has none if a model lacks landmarks."""
     count = len(made.identities)
     tables: dict[str, list[Sequence[str]]] = {}
     for quantity, values in (("shape", distances.shape_percent), ("colour", distances.colour_percent)):
@@ -355,7 +388,7 @@ def _sharpness_rows(made: AvatarResult, shares: Mapping[str, float]) -> list[Seq
 
 
 def _affected(made: AvatarResult, taken: AnyArray) -> list[Sequence[str]]:
-    """List the expressions with versions left out or given less weight, most first."""
+    """List the expressions with versions left out or given less weight, those with most first."""
     rows: list[Sequence[str]] = []
     for index in np.argsort(-(1 - taken).sum(axis=1), kind="stable"):
         if (taken[index] >= FULL_PART).all():

@@ -1,4 +1,4 @@
-"""The page of a build: what a model has learnt, where it is off, and its settings and provenance."""
+"""The page of a build: what the model has learnt, where it is inaccurate, its settings and its provenance (ours)."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ MASK_ORIGINS = {
 
 @dataclass(frozen=True, eq=False)
 class BuildPage:
-    """What `build.html` shows of `build`, in the order of the page."""
+    """The contents of `build.html` for the build `build`, in the order of the page."""
 
     title: str
     build: Build
@@ -79,7 +79,7 @@ class BuildPage:
 def write_build_page(
     path: Path, build: Build, figures: FrameFigures, *, source_size: tuple[int, int] | None = None
 ) -> None:
-    """Write the page to `path`, whole or not at all; parameters as `build_page`. Raises `UnwritableFile`."""
+    """Write the page to `path`; parameters as for `build_page`. Raises `UnwritableFile` if that fails."""
     write_text(Path(path), build_page(build, figures, source_size=source_size))
 
 
@@ -89,11 +89,11 @@ def build_page(build: Build, figures: FrameFigures, *, source_size: tuple[int, i
     Parameters
     ----------
     build : Build
-        The build, with its work folder still in place.
+        The build, while its work folder exists.
     figures : FrameFigures
-        What `measure_frames` measured on it.
+        The figures of its frames (`measure_frames`).
     source_size : (int, int), optional
-        Width and height (px) of the pictures the frames were made from, after cropping, where they are known.
+        Width and height (px) of the original pictures after cropping; None if unknown.
     """
     model = build.model
     found = advice_for(Case(build, figures, source_size))
@@ -206,7 +206,7 @@ def _sheet(build: Build, figures: FrameFigures) -> list[Panel]:
 def _plot_of_worst(
     build: Build, values: AnyArray, name: str, y_title: str, least: float, form: str
 ) -> Markup:
-    """Draw a value of each frame with its median, the reference and the names of the lowest."""
+    """Plot a value of each frame with its median, the reference and the names of the lowest."""
     names = build.model.training.frame_names
     median = float(np.median(values))
     lowest = (int(i) for i in np.argsort(values, kind="stable")[:WORST_NAMED])
@@ -247,7 +247,7 @@ def _worst_frames(build: Build, figures: FrameFigures) -> list[Sequence[str]]:
 
 
 def _fold_maps(model: MorphModel, folds: AnyArray) -> list[Panel]:
-    """Show where the worst frames fold."""
+    """Draw the fold maps of the worst frames."""
     maps = []
     for i in np.argsort(-folds, kind="stable")[:FOLD_MAPS]:
         if folds[i] > 0:
@@ -300,7 +300,7 @@ def _provenance(model: MorphModel) -> list[tuple[str, Any]]:
 
 
 def flattened(document: Mapping[str, Any], above: tuple[str, ...] = ()) -> Iterator[tuple[str, Any]]:
-    """Give the entries of a nested document one by one, each with the path of keys that leads to it."""
+    """Yield the entries of a nested document, each with its path of keys."""
     for key, value in document.items():
         keys = (*above, str(key).replace("_", " "))
         if isinstance(value, Mapping) and value:
@@ -314,7 +314,7 @@ def _mask_origin(model: MorphModel) -> str:
 
 
 def _crop(model: MorphModel) -> str:
-    """Say which part of the pictures was used, and how it was found."""
+    """Describe the used part of the pictures and how it was found."""
     framing = model.provenance.get("framing", {})
     crop = framing.get("crop")
     if crop is None:
@@ -327,7 +327,7 @@ def _crop(model: MorphModel) -> str:
 
 
 def _face_points(build: Build) -> str:
-    """Say in how many frames the face was found."""
+    """Describe in how many frames the face was found."""
     if build.faces_found is None:
         return "not looked for"
     found, count = int(build.faces_found.sum()), len(build.faces_found)
@@ -336,7 +336,7 @@ def _face_points(build: Build) -> str:
 
 
 def _faceframe(model: MorphModel) -> str:
-    """Give the faceframe's points and where they came from."""
+    """Describe the faceframe's points and their origin."""
     if model.faceframe is None:
         return "not marked"
     names = ("right eye", "left eye", "philtrum")

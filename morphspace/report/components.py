@@ -1,4 +1,4 @@
-"""The components of a model for a page: pictures from -2 to +2 SD, and the variance that they explain."""
+"""The components of a model for a page: pictures from -2 to +2 SD, and the variance that they explain (ours)."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ class ComponentRow:
 
 @dataclass(frozen=True, eq=False)
 class Components:
-    """What `components.html` shows: `rank` components, the first of them as `rows`, and the plot of variance.
+    """The contents of `components.html`: `rank` components, the first of them as `rows`, and the plot of variance.
 
     `explained` is the share of all components in words; `full_change` the change of luma drawn in full ink, 0 to 1.
     """

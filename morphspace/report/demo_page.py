@@ -1,4 +1,4 @@
-"""The demo's pictures and page: a model's faces taken apart, put together again, exaggerated, swept, and at random."""
+"""The demo's pictures and page: faces of a model encoded, reconstructed, exaggerated, swept, and drawn at random."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ def demo_pictures(model: MorphModel, clip_folder: Path, folder: Path) -> Steps[N
 
 
 def demo_section(name: str, figures: Mapping[str, Any]) -> str:
-    """Return the section of one model, from the figures that `build-model` tells."""
+    """Return the section of one model, from the figures that `build-model` returns."""
     sweeps = "\n".join(
         f'<figure><img src="{name}/pc{i}.png" alt="component {i} from -2 to +2 SD"><figcaption>Component {i}: '
         f"{SWEPT_SD[0]:+g} to {SWEPT_SD[-1]:+g} SD</figcaption></figure>"

@@ -1,4 +1,4 @@
-"""A flow between two picture files: read, found from the best start, and told in figures."""
+"""A flow between two picture files: read the pictures, find the flow from the best start, and describe it (ours)."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def read_pair(
 ) -> Pair:
     """Read the pictures, the start and the landmarks.
 
-    Raises `BadInput` where no flow can be asked for between them, or they do not belong together.
+    Raises `BadInput` if no flow can be found between the pictures, or if start or landmarks do not fit them.
     """
     names = (str(reference_path), str(frame_path))
     reference, frame = checked_pair(read_image(reference_path), read_image(frame_path), names)
@@ -70,7 +70,7 @@ def read_pair(
 
 
 def check_inside(points: Points, path: Path, picture: str, height: int, width: int) -> None:
-    """Raise `BadInput` where most landmarks (m, 2) lie outside their picture; those of a cropped ear may."""
+    """Check that most landmarks (m, 2) are inside their picture; a cropped ear may be outside. Raises `BadInput`."""
     outside = ((points < -0.5) | (points > np.array([width, height]) - 0.5)).any(axis=1)
     if 2 * outside.sum() > len(points):
         raise BadInput(
@@ -81,7 +81,7 @@ def check_inside(points: Points, path: Path, picture: str, height: int, width: i
 
 @dataclass(frozen=True, eq=False)
 class FoundFlows:
-    """The flow from A to B, the one `back` where it was asked for, the start each was `started_from`, and figures."""
+    """The flow from A to B, the flow `back` if requested, the start of each (`started_from`), and figures."""
 
     flow: Flow
     back: Flow | None
@@ -90,7 +90,7 @@ class FoundFlows:
 
 
 def found_flows(method: FlowMethod, pair: Pair, *, both: bool = False) -> Steps[FoundFlows]:
-    """Find the flow of a pair from the best start there is, `both` ways where asked. Return `FoundFlows`."""
+    """Find the flow of a pair from the best start; with `both`, also the flow back."""
     wanted = [pair, pair.reversed()] if both else [pair]
     flows: list[Flow] = []
     taken: list[str] = []
@@ -109,9 +109,10 @@ def found_flows(method: FlowMethod, pair: Pair, *, both: bool = False) -> Steps[
 
 
 def figures_of(pair: Pair, flow: Flow, back: Flow | None) -> dict[str, Any]:
-    """Give the figures of a flow, units in their names; differences are in grey levels (0 to 255) over all pixels.
+    """Compute the figures of a flow, units in their names; differences are grey levels (0 to 255) over all pixels.
 
-    With the flow `back` also how far points land from themselves, over those that stay inside the second picture.
+    With the flow `back`, the error of both flows in sequence is added, over points that stay inside the second
+    picture.
     """
     field = flow.displacement
     height, width = field.shape[:2]
@@ -136,16 +137,16 @@ def figures_of(pair: Pair, flow: Flow, back: Flow | None) -> dict[str, Any]:
 
 
 def landmarks_missed_px(field: Displacement, reference_points: Points, frame_points: Points) -> float:
-    """Give how far from their fellows the field takes landmarks (m, 2) of the reference, on average.
+    """Compute the mean distance, px, of landmarks (m, 2) moved by the field from those of the second picture.
 
-    Between two people this tells more than the colours, which may differ everywhere.
+    Between two persons this is more informative than colours, which may differ everywhere.
     """
     off_px = warp.move_points(field, reference_points) - frame_points
     return float(np.hypot(off_px[:, 0], off_px[:, 1]).mean())
 
 
 def shown(figures: Mapping[str, Any]) -> tuple[tuple[str, str], ...]:
-    """Give figures as people read them: names and values with their units."""
+    """Format figures for reading: names, and values with their units."""
     width, height = figures["size"]
     rows = [
         ("size", f"{width}x{height} px"),

@@ -1,7 +1,7 @@
 """A flow on one sheet: the two pictures, the second warped back, the field in colour and as a grid, and its figures.
 
-What to look at: the warped picture should be the first; the grid should be stretched, not torn; the colours should keep
-to the face. Drawn with OpenCV alone, its built-in typeface included, so that the sheet looks the same everywhere.
+In a good flow the warped picture equals the first, the grid is stretched but not torn, and the colours are confined
+to the face. The sheet is drawn with OpenCV alone and its built-in typeface, so it looks the same everywhere.
 
 Hue is the direction and saturation the length of a displacement. The colour wheel is that of the Middlebury benchmark
 (Baker et al., IJCV 92, 2011): six stretches between red, yellow, green, cyan, blue and magenta, wide where the eye
@@ -53,7 +53,7 @@ Colour = tuple[int, int, int]
 
 @dataclass(frozen=True, eq=False)
 class Panel:
-    """A picture of the sheet under its title; `note` stands after the title, in small letters."""
+    """A picture of the sheet with its title; `note` follows the title in small letters."""
 
     title: str
     note: str
@@ -68,10 +68,18 @@ def flow_picture(
     names: tuple[str, str] = ("A", "B"),
     figures: Sequence[tuple[str, str]] = (),
 ) -> Image:
-    """Draw the sheet of a flow from `reference` to `frame`, (H, W, 3) in [0, 1], about 1600 px wide.
+    """Draw the sheet of a flow from `reference` to `frame`, (H, W, 3) in [0, 1], about 1600 px wide. Ours.
 
-    `reference`, `frame` (h, w, 3), `flow` on the reference's grid; `names` are shown with the pictures, `figures`, a
-    name and a value each, under the wheel. Ours.
+    Parameters
+    ----------
+    reference, frame
+        (h, w, 3), colours 0 to 1.
+    flow
+        The flow on the reference's grid.
+    names
+        Names of the two pictures.
+    figures
+        Pairs of name and value, printed under the wheel.
     """
     field = flow.displacement
     height, width = field.shape[:2]
@@ -109,7 +117,7 @@ def flow_picture(
 
 
 def colours_of(displacement: Displacement, rim_px: float) -> Image:
-    """Give a field (h, w, 2) as colours (h, w, 3): white at rest, full colour at `rim_px`, darker beyond it."""
+    """Convert a field (h, w, 2) to colours (h, w, 3): white for no motion, full colour at `rim_px`, darker beyond."""
     u, v = displacement[..., 0].astype(np.float64), displacement[..., 1].astype(np.float64)
     places = np.cumsum((0, *STRETCHES))
     turn = np.mod(np.arctan2(v, u) / (2 * np.pi), 1.0) * places[-1]
@@ -120,7 +128,7 @@ def colours_of(displacement: Displacement, rim_px: float) -> Image:
 
 
 def rim_of(displacement: Displacement) -> float:
-    """Give a round length (px) that nearly all displacements stay within: the rim of the wheel for this field."""
+    """Return a round length, px, that nearly all displacements stay below: the rim of the wheel for this field."""
     length = float(np.quantile(np.hypot(displacement[..., 0], displacement[..., 1]), RIM_QUANTILE))
     length = max(length, LEAST_RIM_PX)
     power = 10.0 ** math.floor(math.log10(length))
@@ -128,7 +136,7 @@ def rim_of(displacement: Displacement) -> float:
 
 
 def wheel(diameter: int) -> tuple[Image, AnyArray]:
-    """Give the wheel as a picture (d, d, 3), the rim at its edge, and how much of each pixel is inside, (d, d)."""
+    """Return the wheel as a picture (d, d, 3), and the share of each pixel inside it, (d, d)."""
     radius = diameter / 2
     step = np.arange(diameter) + 0.5 - radius
     field = np.stack(np.meshgrid(step, step), axis=-1).astype(np.float32)
@@ -138,9 +146,9 @@ def wheel(diameter: int) -> tuple[Image, AnyArray]:
 
 
 def warped_grid(displacement: Displacement, spacing_px: float) -> list[AnyArray]:
-    """Give the lines of a regular grid after the field moved them: arrays (m, 2) px, rows of points, then columns.
+    """Return the lines of a regular grid moved by the field: arrays (m, 2) px, rows of points first, then columns.
 
-    The lines stand `spacing_px` apart on the field's grid, with equal room at both edges, and have a point each pixel.
+    The lines are `spacing_px` apart on the field's grid, centred, and have one point per pixel.
     """
     x, y = warp.positions(displacement)
     height, width = x.shape
@@ -156,7 +164,7 @@ def _evenly(size: int, spacing_px: float) -> list[int]:
 
 
 def _grid_on(frame: Image, displacement: Displacement, size: tuple[int, int]) -> AnyArray:
-    """Draw A's grid, moved by the field, over a pale B; cells turned over are red."""
+    """Draw A's grid, moved by the field, over a pale B; folded cells are red."""
     shown = _shown(frame, size).astype(np.float32)
     canvas = np.rint(shown + PALE * (255 - shown)).astype(np.uint8)
     height, width = displacement.shape[:2]
@@ -179,14 +187,14 @@ def _grid_on(frame: Image, displacement: Displacement, size: tuple[int, int]) ->
 
 
 def _fixed_point(points: AnyArray, scale: AnyArray) -> AnyArray:
-    """Give points (m, 2) px of the field as OpenCV's whole numbers on the panel, pixel centres at integers."""
+    """Convert points (m, 2) px of the field to OpenCV's fixed-point coordinates on the panel."""
     placed = (points.astype(np.float64) + 0.5) * scale - 0.5
     limit = 2.0**26  # far outside any panel, inside 32 bits
     return np.rint(np.clip(placed * 2**SUBPIXEL_BITS, -limit, limit)).astype(np.int32)
 
 
 def _last_panel(flow: Flow, reference: Image, back: Image, size: tuple[int, int]) -> Panel:
-    """Show the confidence, or where that is the same everywhere (stock estimators), what the warp left over."""
+    """Draw the confidence, or the residual of the warp if the confidence is uniform (standard estimators)."""
     low, high = float(flow.confidence.min()), float(flow.confidence.max())
     if high - low >= LEAST_SPREAD:
         grey = np.repeat(_scaled(flow.confidence, size)[..., None], 3, axis=2)
@@ -197,7 +205,7 @@ def _last_panel(flow: Flow, reference: Image, back: Image, size: tuple[int, int]
 
 
 def _scaled(values: AnyArray, size: tuple[int, int]) -> AnyArray:
-    """Give an array (h, w[, c]) at another size (width, height)."""
+    """Resize an array (h, w[, c]) to another size (width, height)."""
     is_smaller = size[0] < values.shape[1]
     out: AnyArray = cv2.resize(values, size, interpolation=cv2.INTER_AREA if is_smaller else cv2.INTER_LINEAR)
     return out
@@ -261,14 +269,14 @@ def _put_legend(sheet: AnyArray, left: int, rim_px: float, figures: Sequence[tup
 
 
 def _printable(text: str) -> str:
-    """Give a text without what OpenCV cannot write: it crashes on names that are not Unicode, and heeds line breaks."""
+    """Remove from a text what OpenCV cannot write: invalid Unicode, which crashes it, and line breaks."""
     return UNPRINTABLE.sub(" ", text[:LONGEST_TEXT].encode("utf-8", "replace").decode("utf-8"))
 
 
 def _write(
     sheet: AnyArray, text: str, x: int, y: int, size: int, weight: int, colour: Colour, room_px: int
 ) -> int:
-    """Write text from (x, y) on, cut to the room there is; give where it ends, x px."""
+    """Write text from (x, y) on, truncated to the room; return the x of its end, px."""
     shown = text
     while shown and _width(shown, size, weight) > room_px:
         text = text[:-1]

@@ -1,4 +1,4 @@
-"""How far estimators are from the true flow of scenes: the table that every paper on flow prints.
+"""Errors of estimators on scenes with known flow: the usual table of papers on optical flow.
 
 A scene is a folder with `frame10.png` and `frame11.png`; its truth is `flow10.flo`, either beside them or, as the
 benchmark's own archives unpack, in the folder of the same name under `other-gt-flow` (Baker et al., IJCV 92, 2011).
@@ -47,9 +47,9 @@ class Scene:
 
 
 def find_scenes(folder: str | Path) -> tuple[tuple[Scene, ...], tuple[str, ...]]:
-    """Give the scenes under `folder` by name, and the names of those that have no truth.
+    """Find the scenes under `folder`, by name, and the names of those without a true flow.
 
-    Raises `UnreadableFile` where there is no such folder, `BadInput` where it holds no scene with a truth.
+    Raises `UnreadableFile` if there is no such folder, `BadInput` if it holds no scene with a true flow.
     """
     folder = Path(folder)
     if not folder.is_dir():
@@ -86,9 +86,9 @@ def measured_scenes(
     output: Path | None = None,
     backend: str = DEFAULT_BACKEND,
 ) -> Steps[Outcome]:
-    """Measure presets on the scenes of a folder whose true flow is known; `output` (.csv) keeps the table.
+    """Measure presets on the scenes of a folder with known flow; `output` (.csv) stores the table.
 
-    Returns an `Outcome` with the table; time is wall-clock time.
+    Times are wall-clock times.
     """
     chosen = {preset: methods.named(preset, backend) for preset in presets}
     scenes, bare = find_scenes(folder)
@@ -127,9 +127,9 @@ def measured_scenes(
 
 
 def read_scene(scene: Scene) -> tuple[Image, Image, Displacement]:
-    """Give the pictures of a scene and its true flow, unknown where a component is beyond the mark.
+    """Read the pictures of a scene and its true flow; components beyond the format's mark are unknown.
 
-    Raises `BadInput` where they do not belong together or nothing is known.
+    Raises `BadInput` if the files do not fit each other or no flow is known.
     """
     names = (str(scene.reference), str(scene.frame))
     reference, frame = checked_pair(read_image(scene.reference), read_image(scene.frame), names)
@@ -146,13 +146,13 @@ def read_scene(scene: Scene) -> tuple[Image, Image, Displacement]:
 
 
 def with_mean(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
-    """Give the rows of one preset and their mean over the scenes, each scene counting the same."""
+    """Append to the rows of one preset their mean over the scenes, each scene with equal weight."""
     mean = {name: float(np.mean([row[name] for row in rows])) for name in FIGURE_COLUMNS}
     return [*rows, {"preset": rows[0]["preset"], "scene": MEAN, **mean}]
 
 
 def table_lines(table: list[dict[str, Any]]) -> tuple[str, ...]:
-    """Give the table as lines of text, columns aligned."""
+    """Format the table as lines of text, columns aligned."""
     presets = max(len("preset"), *(len(row["preset"]) for row in table))
     scenes = max(len("scene"), *(len(row["scene"]) for row in table))
     head = f"{'preset':<{presets}}  {'scene':<{scenes}}   AEE px  AAE deg   R1.0 %   time s"

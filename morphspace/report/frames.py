@@ -1,6 +1,6 @@
-"""What the report tells of each frame: every training frame is drawn from its loadings and compared with the original.
+"""The figures of each training frame: it is drawn from its loadings and compared with the original (ours).
 
-One frame is in memory for each thread; what is kept are numbers, and small pictures of a few frames.
+One frame per thread is in memory; only numbers, and small pictures of a few frames, are stored.
 """
 
 from __future__ import annotations
@@ -35,12 +35,26 @@ class SheetFrame:
 
 @dataclass(frozen=True, eq=False)
 class FrameFigures:
-    """What was measured on each of n training frames; arrays (n,) in the order of the frames.
+    """Figures of n training frames; arrays (n,) in the order of the frames.
 
-    `psnr_db` of the frame drawn from all its loadings, inside the mask | `fold_fractions` of the same warp |
-    `luminance` mean luma inside the mask, 0 to 1 | `exposure_stops` light of the rigid part of the face against the
-    reference, log2 | `mahalanobis` length of the loadings in SD | `rigid_motion_px` rms warp left in the rigid part
-    after registration | `mouth_contrast` SD of luma in the mouth region over the skin's luma | `sheet` small pictures.
+    Attributes
+    ----------
+    psnr_db
+        PSNR of the frame drawn from all its loadings, inside the mask, dB.
+    fold_fractions
+        Folded share of the same warp.
+    luminance
+        Mean luma inside the mask, 0 to 1.
+    exposure_stops
+        Light of the rigid part of the face relative to the reference, log2.
+    mahalanobis
+        Length of the loadings, SD.
+    rigid_motion_px
+        RMS warp that remains in the rigid part after registration, px.
+    mouth_contrast
+        SD of luma in the mouth region over the skin's luma.
+    sheet
+        Small pictures of a few frames.
     """
 
     psnr_db: AnyArray
@@ -54,9 +68,10 @@ class FrameFigures:
 
 
 def measure_frames(build: Build) -> Steps[FrameFigures]:
-    """Draw each training frame from its loadings and measure it; a generator of steps. Ours.
+    """Draw each training frame from its loadings and measure it. Ours.
 
-    Memory does not grow with the frames, but for a few numbers each and at most `SHEET_FRAMES` small pictures.
+    Memory does not grow with the frames, except for a few numbers each; there are at most `SHEET_FRAMES` small
+    pictures.
     """
     model = build.model
     count = len(model.training.frame_names)
@@ -91,7 +106,7 @@ def measure_frames(build: Build) -> Steps[FrameFigures]:
 
 
 def small(image: Image) -> Image:
-    """Give a picture (h, w, 3) at most `SHEET_WIDTH_PX` wide, averaged over areas."""
+    """Reduce a picture (h, w, 3) to at most `SHEET_WIDTH_PX` wide by area averaging."""
     height, width = image.shape[:2]
     if width <= SHEET_WIDTH_PX:
         return image
@@ -100,7 +115,7 @@ def small(image: Image) -> Image:
 
 
 class _Regions:
-    """The parts of the face that are measured, prepared once: rigid part and mouth on the reference and the mean."""
+    """The measured parts of the face, prepared once: rigid part and mouth on the reference and the mean."""
 
     def __init__(self, build: Build) -> None:
         model = build.model
@@ -119,16 +134,16 @@ class _Regions:
         self.reference_light = self._rigid_light(model.reference)
 
     def psnr_db(self, image: Image, truth: Image) -> float:
-        """Give the PSNR inside the mask; what lies around the mask's box counts nothing and is not touched."""
+        """Compute the PSNR inside the mask, dB; pixels outside the mask's box are ignored."""
         box = self.face_box
         return psnr_db(image[box], truth[box], self.inside[box])
 
     def rigid_motion_px(self, displacement: Displacement) -> float:
-        """Give the rms length of a displacement on the mean face's rigid part."""
+        """Compute the RMS length of a displacement, px, on the mean face's rigid part."""
         return rms_px(displacement[self.rigid_box], self.rigid_on_mean)
 
     def light(self, image: Image) -> tuple[float, float, float]:
-        """Give luminance, exposure and mouth contrast of an aligned frame (h, w, 3)."""
+        """Compute luminance, exposure and mouth contrast of an aligned frame (h, w, 3)."""
         luma = image @ LUMA
         mean = float((luma * self.inside).sum(dtype=np.float64) / self.total)
         if not self.rigid.size:

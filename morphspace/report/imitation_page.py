@@ -1,4 +1,4 @@
-"""The page of a measured imitation: the measures, both motions on one axis, and what chance would give."""
+"""The page of a measured imitation: the measures, both motions on one axis, and the chance level."""
 
 from __future__ import annotations
 
@@ -38,13 +38,36 @@ COLUMNS = (
 
 @dataclass(frozen=True, eq=False)
 class MeasuredImitation:
-    """An imitation as its verb measured it.
+    """A measured imitation with the figures of its page.
 
-    `comparison` | `stimulus_sd` (n, k), `imitation_sd` (m, k) | `rate_hz` of both or None | `names` of stimulus,
-    imitation and model | `pairs` a few frames, label and the two pictures | `notes` to read first | `still` says that
-    one does not move, or nothing | `read_in` whose model the imitation was read in, where it is another's than the
-    stimulus' | `video` its file name, `panels` what it shows from left to right | `settings` name to value | `rows` of
-    the table by name, all components together last, `reasons` why cells of each are empty.
+    Attributes
+    ----------
+    comparison
+        The comparison of both sequences.
+    stimulus_sd, imitation_sd
+        (n, k) and (m, k), SD.
+    rate_hz
+        Frame rate of both, or None.
+    names
+        Names of stimulus, imitation and model.
+    pairs
+        A few frames: label and the two pictures.
+    notes
+        Notes to read first.
+    still
+        Lines on sequences without motion.
+    read_in
+        Name of the model with which the imitation was encoded if it is not the stimulus' model.
+    video
+        File name of the video.
+    panels
+        Panels of the video from left to right.
+    settings
+        Name to value.
+    rows
+        Rows of the table by name; the last is for all components together.
+    reasons
+        For each row, why cells are empty.
     """
 
     comparison: Comparison
@@ -75,7 +98,7 @@ class Trace:
 
 @dataclass(frozen=True, eq=False)
 class ImitationPage:
-    """What `imitation.html` shows of `measured`: measures of all components `together`, traces, timing, and table."""
+    """The contents of `imitation.html` for the imitation `measured`: measures, traces, timing and table."""
 
     title: str
     measured: MeasuredImitation
@@ -136,7 +159,7 @@ def _traces(measured: MeasuredImitation) -> list[Trace]:
 
 
 def _lag_plot(comparison: Comparison, together: Mapping[str, float]) -> tuple[Markup | None, float]:
-    """Draw the correlation at each lag; give the highest too. Nothing is drawn where no lag is defined."""
+    """Plot the correlation at each lag; return the plot and the highest correlation, no plot if no lag is defined."""
     if not np.isfinite(together["lag_frames"]):
         return None, float("nan")
     lag = int(together["lag_frames"])

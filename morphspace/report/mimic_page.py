@@ -37,11 +37,26 @@ SHARES = ("warp_kept",)  # below 0 in the file where other motion was drawn; the
 
 @dataclass(frozen=True, eq=False)
 class MimicryResult:
-    """A mimicry as its verb made it.
+    """A mimicry with the contents of its page.
 
-    `names` of source, target and driver | `pairs` frame name, source and mimicry (h, w, 3), small | `loadings_sd`
-    (n, k) of the target | `max_sd` their bound | `columns` of quality.csv | `notes` to read first | `video` its file
-    name | `settings` name to value.
+    Attributes
+    ----------
+    names
+        Names of source, target and driver.
+    pairs
+        Frame name, source and mimicry (h, w, 3), small.
+    loadings_sd
+        (n, k) of the target, SD.
+    max_sd
+        Bound of the loadings, SD.
+    columns
+        Columns of quality.csv.
+    notes
+        Notes to read first.
+    video
+        File name of the video.
+    settings
+        Name to value.
     """
 
     names: tuple[str, str, str]
@@ -56,7 +71,7 @@ class MimicryResult:
 
 @dataclass(frozen=True, eq=False)
 class MimicPage:
-    """What `mimicry.html` shows of `made`: medians over frames, pairs of pictures, traces, the table of quality."""
+    """The contents of `mimicry.html` for the mimicry `made`: medians, pairs of pictures, traces, table of quality."""
 
     title: str
     made: MimicryResult

@@ -1,4 +1,4 @@
-"""Pages as Jinja2 templates: one environment with autoescape, the values' filters, and text that is safe to show.
+"""Pages as Jinja2 templates: one environment with autoescape, filters for values, and printable text (ours).
 
 A page is one file that loads nothing but a video beside it. The same values give the same bytes.
 """
@@ -31,32 +31,32 @@ class Panel:
 
 
 def render(template: str, page: object) -> str:
-    """Return the page as HTML: `templates/<template>` with `page`, a dataclass of what the page shows."""
+    """Return the page as HTML: `templates/<template>` filled with the dataclass `page`."""
     return _environment().get_template(template).render(page=page)
 
 
 def markup(form: str, **values: object) -> Markup:
-    """Return `form`, a piece of HTML or SVG of our own, with the values filled in and escaped."""
+    """Return `form`, a piece of HTML or SVG of our own, with the values inserted and escaped."""
     return Markup(form).format(**{name: _printable(value) for name, value in values.items()})
 
 
 def fixed(value: float | None, decimals: int = 2) -> str:
-    """Return a number with its decimals, a dash where it is undefined."""
+    """Format a number with fixed decimals, or a dash if it is undefined."""
     return f"{value + 0.0:.{decimals}f}" if value is not None and math.isfinite(value) else DASH
 
 
 def percent(share: float, decimals: int = 0) -> str:
-    """Return a share of 1 in percent, a dash where it is undefined."""
+    """Format a share of 1 in percent, or a dash if it is undefined."""
     return DASH if not math.isfinite(share) else f"{100 * share:.{decimals}f} %"
 
 
 def p_value(p: float) -> str:
-    """Return a probability for reading."""
+    """Format a probability."""
     return f"p {p:.3f}" if math.isfinite(p) else "p undefined"
 
 
 def signed(value: float, decimals: int = 0) -> str:
-    """Return a number with its sign; a whole 0 has none."""
+    """Format a number with its sign; an integer 0 has none."""
     return f"{value:+.{decimals}f}".replace("-", MINUS) if value or decimals else "0"
 
 

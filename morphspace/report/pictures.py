@@ -1,4 +1,4 @@
-"""The report's pictures, each inside the page as a data address: photographs as JPEG, maps as PNG."""
+"""The report's pictures, embedded in the page as data addresses: photographs as JPEG, maps as PNG (ours)."""
 
 from __future__ import annotations
 
@@ -44,10 +44,18 @@ WHITE = (255, 255, 255)
 
 @dataclass(frozen=True, eq=False)
 class ComponentStrip:
-    """A component's pictures at `STRIP_AMOUNTS_SD`, and how much one SD of it moves and colours the face.
+    """A component's pictures at `STRIP_AMOUNTS_SD`, and the effect of one SD on shape and colour.
 
-    `pictures` five (h, w, 3) | `motion_px` rms inside the mask, px at the model's size | `colour` rms inside the mask,
-    0 to 1 | `change` (h, w) mean absolute change of luma from one end to the other.
+    Attributes
+    ----------
+    pictures
+        Five pictures (h, w, 3).
+    motion_px
+        RMS inside the mask, px at the model's size.
+    colour
+        RMS inside the mask, 0 to 1.
+    change
+        (h, w) mean absolute change of luma from one end to the other.
     """
 
     pictures: tuple[Image, ...]
@@ -57,12 +65,12 @@ class ComponentStrip:
 
 
 def photograph(image: Image, alt: str) -> Markup:
-    """Give an image (h, w, 3) as a JPEG on the page."""
+    """Embed an image (h, w, 3) as a JPEG."""
     return _picture("jpeg", jpeg_bytes(image, JPEG_QUALITY), image, alt)
 
 
 def chart(image: Image, alt: str) -> Markup:
-    """Give a map (h, w, 3) as a PNG on the page, so that its marks stay sharp."""
+    """Embed a map (h, w, 3) as a PNG, so that its marks stay sharp."""
     return _picture("png", png_bytes(image), image, alt)
 
 
@@ -78,7 +86,7 @@ def _picture(kind: str, content: bytes, image: Image, alt: str) -> Markup:
 
 
 def stacked(upper: Image, lower: Image) -> Image:
-    """Put one picture above the other of the same width, with a white gap."""
+    """Stack two pictures of the same width with a white gap."""
     gap = np.ones((GAP_PX, upper.shape[1], 3), np.float32)
     return np.concatenate([upper, gap, lower])
 
@@ -111,7 +119,7 @@ def component_strips(model: MorphModel, count: int) -> Iterator[ComponentStrip]:
 
 
 def shrunk_morph(morph: Face) -> Face:
-    """Give a morph or an offset at most `STRIP_WIDTH_PX` wide, its displacement in the px of the small picture."""
+    """Reduce a morph or an offset to at most `STRIP_WIDTH_PX` wide; its displacement is in px of the small picture."""
     height, width = morph.texture.shape[:2]
     if width <= STRIP_WIDTH_PX:
         return morph
@@ -130,13 +138,13 @@ def _resized(mask: Mask, morph: Morph) -> Mask:
 
 
 def change_chart(change: AnyArray, full: float) -> Image:
-    """Give a map (h, w) of change as a picture: white is none, dark blue is `full` or more."""
+    """Draw a map (h, w) of change: white is none, dark blue is `full` or more."""
     share = np.clip(change / max(full, 1e-6), 0, 1)[..., None].astype(np.float32)
     return (1 - share + share * CHANGE_INK).astype(np.float32)
 
 
 def confidence_chart(face: Image, confidence: Mask, mask: Mask) -> Image:
-    """Tint a pale grey face (h, w, 3) where the confidence (h, w) is low: full ink at 0, nothing outside the mask."""
+    """Tint a pale grey face (h, w, 3) where the confidence (h, w) is low: full ink at 0, none outside the mask."""
     luma = np.clip(face, 0, 1) @ LUMA
     pale = (luma + FOLD_PALE * (1 - luma))[..., None]
     share = ((1 - np.clip(confidence, 0, 1)) * mask)[..., None]
@@ -145,7 +153,7 @@ def confidence_chart(face: Image, confidence: Mask, mask: Mask) -> Image:
 
 
 def fold_chart(morph: Morph, mask: Mask) -> Image:
-    """Mark on a frame's texture the cells its warp turns over: red inside the mask, orange outside."""
+    """Mark on a frame's texture the cells that its warp folds: red inside the mask, orange outside."""
     folded = warp.determinants(morph.displacement) <= 0
     face = np.clip(morph.texture, 0, 1) @ LUMA
     face = face + FOLD_PALE * (1 - face)
@@ -165,7 +173,7 @@ def _zoomed(values: AnyArray, zoom: int) -> AnyArray:
 
 
 def outlines(mask: Mask, kind: str, level: float = 0.5) -> Markup:
-    """Return the lines along which a mask (h, w) passes `level`, as paths of a drawing over the picture."""
+    """Return the contours of a mask (h, w) at `level`, as paths to draw over the picture."""
     height, width = mask.shape
     fine = cv2.resize(mask, (width * FINER, height * FINER), interpolation=cv2.INTER_LINEAR)
     inside = (fine > level).astype(np.uint8)
@@ -179,7 +187,7 @@ def outlines(mask: Mask, kind: str, level: float = 0.5) -> Markup:
 
 
 def drawn_over(picture: Markup, image: Image, drawing: Markup) -> Markup:
-    """Lay a drawing in the image's own px over its picture on the page; pixel centres are at integers."""
+    """Place a drawing, in px of the image, over the image's picture on the page; pixel centres are at integers."""
     height, width = image.shape[:2]
     form = (
         '<div class="over">{picture}'

@@ -1,6 +1,6 @@
-"""Plots as inline SVG: lines over frames, cumulative shares, and two motions on one axis.
+"""Plots as inline SVG: lines over frames, cumulative shares, and two motions on one axis (ours).
 
-One unit of a drawing is one pixel at the page's full width. Numbers have two decimals, so that the same values give the
+One unit of a drawing is one pixel at the page's full width. Numbers have two decimals, so the same values give the
 same bytes.
 """
 
@@ -35,9 +35,9 @@ class Mark:
 
 @dataclass(frozen=True)
 class Plot:
-    """A plot's description in words, its axis titles, and the least range of its values.
+    """The description of a plot, its axis titles, and the least range of its values.
 
-    `first` is the first index on the axis; the axis does not go below `lowest`, which the quantity cannot pass.
+    `first` is the first index on the axis; `lowest` is the lower limit of the quantity and of the axis.
     """
 
     description: str
@@ -50,7 +50,7 @@ class Plot:
 
 
 def round_ticks(low: float, high: float, about: int) -> list[float]:
-    """Return about so many round numbers, 1, 2 or 5 times a power of ten apart, that cover low to high."""
+    """Return about `about` round numbers, 1, 2 or 5 times a power of ten apart, that cover low to high."""
     raw = (high - low) / max(about, 1)
     power = 10.0 ** math.floor(math.log10(raw))
     step = next(power * factor for factor in (1, 2, 5, 10) if power * factor >= raw * 0.999)
@@ -66,7 +66,7 @@ def line_plot(
     worst: Sequence[Mark] = (),
     dot: Mark | None = None,
 ) -> Markup:
-    """Draw values over their index as a line.
+    """Plot values over their index as a line.
 
     Parameters
     ----------
@@ -77,9 +77,9 @@ def line_plot(
     level : (float, str), optional
         Value and words of a dashed horizontal line.
     worst : sequence of Mark
-        Points named beneath the line, each in a row of its own, so that neighbours do not cover each other.
+        Points named beneath the line, each in its own row, so that neighbours do not overlap.
     dot : Mark, optional
-        One point set off, such as the reference.
+        One highlighted point, such as the reference.
 
     Returns
     -------
@@ -113,7 +113,7 @@ def line_plot(
 
 
 def share_plot(plot: Plot, shares: Sequence[float], reached: Sequence[Mark]) -> Markup:
-    """Draw cumulative shares (percent, after 1, 2, ... components) as a curve from 0, with named points on it."""
+    """Plot cumulative shares (percent, after 1, 2, ... components) as a curve from 0, with named points."""
     width, height = plot.size
     count = len(shares)
     x_of, y_of = _scale(0, count, LEFT, width - RIGHT), _scale(0, 100, height - BOTTOM, TOP)
@@ -134,9 +134,9 @@ def share_plot(plot: Plot, shares: Sequence[float], reached: Sequence[Mark]) -> 
 def trace_plot(
     plot: Plot, stimulus: Sequence[float], imitation: Sequence[float], step: float = 1.0
 ) -> Markup:
-    """Draw two motions over time on one axis, the stimulus solid and the imitation dashed; `step` is a frame's time.
+    """Plot two motions over time on one axis, the stimulus solid, the imitation dashed; `step` is the time of a frame.
 
-    Each has its own number of frames. Colour is never the only difference between the two lines.
+    Each has its own number of frames. The lines differ in more than colour.
     """
     width, height = plot.size
     longest = max(len(stimulus), len(imitation), 2)
@@ -183,7 +183,7 @@ def _tick(plot: Plot, x: float, label: str) -> Markup:
 
 
 def _named(worst: Sequence[Mark], points: Sequence[Point], floor_y: float, width: int) -> list[Markup]:
-    """Name points in rows beneath the line: names grow towards the middle, the innermost point's in the top row."""
+    """Name points in rows beneath the line, the outermost in the lowest row, so that names do not overlap."""
     lines, names = [], []
     for row, mark in enumerate(sorted(worst, key=lambda mark: abs(points[mark.index][0] - width / 2))):
         x, y = points[mark.index]

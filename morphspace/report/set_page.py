@@ -1,6 +1,6 @@
-"""The page of a stimulus set: a contact sheet, the statistics of its pictures, and the stimuli that stand out.
+"""The page of a stimulus set: a contact sheet, image statistics, and outlying stimuli (ours).
 
-The sheet of a large set shows evenly chosen stimuli and says so; the statistics are those of all. Ours.
+The sheet of a large set has evenly selected stimuli and says so; the statistics cover all stimuli.
 """
 
 from __future__ import annotations
@@ -40,10 +40,20 @@ Row = Mapping[str, Any]
 
 @dataclass(frozen=True, eq=False)
 class StimulusSet:
-    """A set as its verb made it.
+    """A set with the contents of its page.
 
-    `rows` of the manifest | `thumbnails` small pictures (h, w, 3) by the row's place | `notes` to read first |
-    `settings` name to value | `columns` of the manifest that tell the stimuli apart, the outermost first.
+    Attributes
+    ----------
+    rows
+        Rows of the manifest.
+    thumbnails
+        Small pictures (h, w, 3) by the row's index.
+    notes
+        Notes to read first.
+    settings
+        Name to value.
+    columns
+        Manifest columns that distinguish the stimuli, the outermost first.
     """
 
     title: str
@@ -56,7 +66,7 @@ class StimulusSet:
 
 @dataclass(frozen=True, eq=False)
 class SetPage:
-    """What `set.html` shows of `made`: counts, the contact sheet, plots and table of statistics, flagged stimuli."""
+    """The contents of `set.html` for the set `made`: counts, contact sheet, plots, statistics, flagged stimuli."""
 
     title: str
     made: StimulusSet
@@ -77,7 +87,7 @@ class SetPage:
 
 
 def places_shown(count: int) -> tuple[int, ...]:
-    """Return which of so many stimuli the sheet shows."""
+    """Select evenly spread stimuli for the sheet, out of `count`."""
     places = np.linspace(0, count - 1, min(count, SHOWN_AT_MOST)).round()
     return tuple(int(place) for place in np.unique(places))
 
@@ -110,10 +120,10 @@ def set_page(made: StimulusSet) -> str:
 
 
 def sheet_columns(rows: Sequence[Row], columns: Sequence[str]) -> int:
-    """Return how many pictures a row of the sheet holds, so that stimuli that belong together stand together.
+    """Return the number of pictures in a row of the sheet, so that related stimuli are in one row.
 
-    Where the first column keeps its value for so many stimuli, then for as many more and so on (all gains of a frame,
-    all steps of a component), a row holds one such group, or several whole ones.
+    If the first column has the same value for groups of equal size (all gains of a frame, all steps of a component),
+    a row holds one such group, or several whole ones.
     """
     runs: list[int] = []
     last = object()
@@ -163,7 +173,7 @@ def _statistics(rows: Sequence[Row], space: str, name: str) -> list[str]:
 
 
 def _plot(rows: Sequence[Row], space: str, name: str) -> Iterable[Markup]:
-    """Draw a figure over the stimuli that have it, with the names of those that stand out; nothing where none has."""
+    """Plot a statistic over the stimuli that have it, and name the outliers; no plot if none has it."""
     column = f"{space}_{name}"
     known = [row for row in rows if row.get(column) is not None]
     if not known:
