@@ -236,7 +236,7 @@ def test_replay_notices_a_file_that_was_changed_and_one_that_is_gone(folder, pic
     (tmp_path / f"{name}.json").write_bytes((pictures / f"{name}.json").read_bytes())
     request = ReplayRequest(tmp_path / f"{name}.json", folder / "a.morph")
     gone = result_of(replay.run(request))
-    assert gone.document["same"] and "is not there" in gone.warnings[0]
+    assert gone.document["same"] and "is missing" in gone.warnings[0]
     write_image(tmp_path / f"{name}.png", read_image(pictures / f"{name}.png") * np.float32(0.9))
     changed = result_of(replay.run(request))
     assert changed.document["same"] and "changed after it was written" in changed.warnings[0]
@@ -334,11 +334,11 @@ def test_told_entries_need_a_description(folder):
         return plan_of(request, "sample", model, [Drawing("a", np.zeros((1, 3)), told=told)], columns=columns)
 
     assert list(planned({"mood": Column("How it looks")}, mood="glad").told_columns()) == ["mood"]
-    with pytest.raises(BadInput, match="'mood' needs a description"):
+    with pytest.raises(BadInput, match="'mood' has no description"):
         planned({}, mood="glad")
     with pytest.raises(BadInput, match="'sha256' is one of the manifest's own"):
         planned({}, sha256="x")
-    with pytest.raises(BadInput, match="has 0 rows"):
+    with pytest.raises(BadInput, match="nothing to draw"):
         plan_of(request, "sample", model, [])
 
 
@@ -448,7 +448,7 @@ def test_a_set_whose_own_table_is_read_goes_elsewhere(folder, tmp_path):
 )
 def test_a_file_of_somebody_else_is_named_and_stays(folder, tmp_path, name):
     (tmp_path / name).write_bytes(b"{}")
-    with pytest.raises(BadInput, match=f"{name} would be replaced, and is not of a stimulus set"):
+    with pytest.raises(BadInput, match=f"{name} would be replaced, but is not of a stimulus set"):
         made(folder, tmp_path, gains=(1.0,))
     assert bytes_of(tmp_path) == {name: b"{}"}
 

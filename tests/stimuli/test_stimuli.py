@@ -143,7 +143,7 @@ def test_redrawn_faces_are_those_that_rejection_would_leave():
     ["", "a/", "/a", "a//b", "..", "a/../b", ".hidden", "a.", "a b ", "a\\b", "a:b", "a\nb", "CON", "nul.x"],
 )
 def test_names_that_cannot_be_files_everywhere_are_refused(name):
-    with pytest.raises(BadInput, match="Rename it"):
+    with pytest.raises(BadInput, match="rename it"):
         check_name(name)
 
 

@@ -289,6 +289,6 @@ def test_the_command_line_lists_and_refuses_in_one_line(command, tmp_path):
 
 def test_a_file_where_the_folder_should_be_names_the_variable(tmp_path):
     (tmp_path / "file").write_text("mine")
-    with pytest.raises(BadInput, match=r"file is a file, .*MORPHSPACE_MODELS"):
+    with pytest.raises(BadInput, match=r"file is a file; .*MORPHSPACE_MODELS"):
         result_of(run(ModelsFetchRequest(folder=tmp_path / "file"), download=no_download))
     assert (tmp_path / "file").read_text() == "mine"

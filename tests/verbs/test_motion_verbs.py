@@ -266,7 +266,7 @@ def test_a_mean_trajectory_that_was_kept_serves_as_the_guide(files, tmp_path):
         ({"seed": -1}, "seed is -1; expected a whole number from 0 up"),
         ({"frame_rate_hz": 0.0}, "frame_rate_hz is 0.0; expected a number above 0"),
         ({"model": "smile.csv"}, "name the model first"),
-        ({"output": "smile.csv"}, "would be lost"),
+        ({"output": "smile.csv"}, "would be replaced"),
         ({"output": "out.mp4"}, "ends in .mp4"),
         ({"tables": ("smile.csv", "frown.csv"), "output": "two.csv"}, "2 motions do not fit one table"),
     ],
