@@ -749,7 +749,7 @@ def test_files_that_are_not_ours_are_not_written_over(work, model, name):
 
 def test_nothing_is_written_among_the_frames_of_a_clip(work, model):
     given = clip(work, "out", 0.5 * motion(4), model), table(work, "b", 0.5 * motion(4, 1), model)
-    with pytest.raises(BadInput, match="out is one of the two clips. Choose another output folder"):
+    with pytest.raises(BadInput, match=r"out is one of the two clips\. Choose another output folder"):
         measured(work, *given)
     assert {path.suffix for path in (work / "out").iterdir()} == {".png"}
 

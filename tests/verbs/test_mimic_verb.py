@@ -393,7 +393,7 @@ def test_what_no_run_of_mimic_wrote_is_neither_replaced_nor_mixed(work, name):
     mine = work / "out" / name
     mine.parent.mkdir(parents=True)
     mine.write_text("mine")
-    with pytest.raises(BadInput, match="no folder of an earlier mimic") as refusal:
+    with pytest.raises(BadInput, match="not the folder of an earlier mimic") as refusal:
         run(work)
     assert name.split("/")[0] in str(refusal.value) and "\n" not in str(refusal.value)
     assert [path for path in (work / "out").rglob("*") if path.is_file()] == [mine]
@@ -406,7 +406,7 @@ def test_a_folder_of_another_verb_is_not_taken_for_ours_and_other_files_may_lie_
     run(work)
     assert (work / "out" / "notes.txt").read_text() == "mine"
     (work / "out" / "record.json").write_text(json.dumps({"format": "morphspace-record", "verb": "render"}))
-    with pytest.raises(BadInput, match="no folder of an earlier mimic"):
+    with pytest.raises(BadInput, match="not the folder of an earlier mimic"):
         run(work)
 
 
@@ -871,7 +871,7 @@ def test_a_model_of_too_few_faces_is_not_sent_to_a_command_that_cannot_help(work
     for detect in (None, lambda picture: points()):
         request = MimicRequest(given, str(work / "b.morph"), work / "new", method="guided")
         with pytest.raises(
-            BadInput, match="models fetch" if detect is None else "the 5 frames of clip are too few"
+            BadInput, match="models fetch" if detect is None else "clip has 5 frames; expected at least 8"
         ):
             result_of(verb.run(request, detect))
     assert not (work / "new").exists()

@@ -211,7 +211,7 @@ def test_a_loop_that_is_given_too_little_time_is_noted(files):
         )
         for word in ("loop", "loop=0", "reverse")
     ]
-    assert [any("where the loop closes" in note for note in one.notes) for one in planned] == [
+    assert [any("at the end of the loop" in note for note in one.notes) for one in planned] == [
         False,
         True,
         False,
