@@ -644,7 +644,7 @@ def bad(work, model, what):
             "components is 0; expected a whole number from 1 up",
         ),
         "mask of another size": ((good, good), {"mask": work / "small.png"}, "small.png is 12x10, .* 60x72"),
-        "mask and region": ((good, good), {"mask": work / "small.png", "region": "eyes"}, "choose one"),
+        "mask and region": ((good, good), {"mask": work / "small.png", "region": "eyes"}, "Give one"),
         "nan": ((good, str(work / "nan.csv")), {}, "row 3, column pc001_sd is 'nan'"),
         "no mask": ((good, good), {"mask": work / "none.png"}, r"none\.png"),
     }[what]
