@@ -25,11 +25,11 @@ from morphspace.report.frames import small
 from morphspace.report.page import DASH, Panel, fixed, percent, render
 from morphspace.steps import Step, Steps, spread
 
-SHEET_ROWS = 24  # at most; the work folder has all
-LEAST_SHARE_OF_SHEET = 0.25  # of its rows are kept for expressions with the most versions left out
-FULL_PART = 0.75  # of the part its weight gives it: with less, a version counts as given less weight
-LARGE_FACES = 3  # blend and pixel average beside each other, at full size
-SOURCES_SHOWN = 60  # rows of the table of expressions with versions left out; most left out first
+SHEET_ROWS = 24  # largest number of rows; the work folder has all expressions
+LEAST_SHARE_OF_SHEET = 0.25  # of the rows; reserved for expressions with most versions left out
+FULL_PART = 0.75  # of its nominal weight; below it a version is listed as having less weight
+LARGE_FACES = 3  # pairs of blend and pixel average at full size
+SOURCES_SHOWN = 60  # largest number of rows of the table of expressions with versions left out
 COMPONENTS_LISTED = 12
 PICTURES_MADE = {
     "unsharpened": "blend before the unsharp mask",
@@ -153,12 +153,12 @@ def landmark_words(avatar: Avatar, has_detector: bool, path: Path) -> tuple[str,
     """Return advice if the avatar, written to a path, has no landmarks."""
     if avatar.model.landmarks is not None:
         return ()
-    lacks = f"{avatar.model.identity} does not know its landmarks, which `mimic --method guided` wants"
+    lacks = f"{avatar.model.identity} has no landmarks, which `mimic --method guided` needs"
     count = len(avatar.expressions)
     if has_detector or count < LEAST_FACES:
         return (
-            f"{lacks}: they are learned from at least {LEAST_FACES} pictures with a face that is found, and {count} "
-            "expressions were blended; ask for more --expressions",
+            f"{lacks}: they are learned from at least {LEAST_FACES} pictures with a detected face, but {count} "
+            "expressions were blended; give more --expressions",
         )
     return (f"{lacks}: run `morphspace keypoints {path} --auto`",)
 
@@ -176,7 +176,7 @@ def _settings_shown(avatar: Avatar, settings: AvatarSettings) -> dict[str, str]:
         "expressions": f"{len(avatar.expressions)}; of each identity {count}"
         + ("" if settings.expressions is None else ", by farthest-point sampling"),
         "frames": "rendered by the models" if settings.clips is None else "of the clips",
-        "correspondence": "mean faces at rest"
+        "correspondence": "mean faces"
         + (", mouths in each expression" if settings.correspondence == EXPRESSION else ""),
         "reference identity": avatar.identities[avatar.reference_identity],
         "reference expression": avatar.expressions[avatar.reference].name,

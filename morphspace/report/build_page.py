@@ -23,9 +23,9 @@ from morphspace.report.plots import SMALL_SIZE, Mark, Plot, line_plot
 from morphspace.storage import write_text
 
 FOLD_MAPS = 4
-LIST_SHOWN = 6  # entries of a list; a longer one is folded away
-WORST_NAMED = 3  # in a plot
-WORST_LISTED = 8  # in the table
+LIST_SHOWN = 6  # entries; longer lists are collapsed
+WORST_NAMED = 3  # frames named in a plot
+WORST_LISTED = 8  # frames in the table
 # least ranges of the axes, so that noise does not fill them
 LEAST_RANGE_CONFIDENCE = 0.1
 LEAST_RANGE_DB = 4.0
@@ -34,13 +34,13 @@ LEAST_RANGE_FOLDS_PERCENT = 0.5
 LEAST_RANGE_PX = 2.0
 LEAST_RANGE_SIZE_PERCENT = 1.0
 LEAST_RANGE_STOPS = 0.1
-FIRST_KEYS = ("identity", "consent", "licence")  # of the provenance, which a reader must see first
+FIRST_KEYS = ("identity", "consent", "licence")  # provenance that is listed first
 SHOWN_ABOVE = ("reference", "flow_start", "components_asked", "warp_weight_trials", "mask_from", "landmarks")
 NOT_RECORDED = "not recorded"
 MASK_ORIGINS = {
-    "given": "drawn and given",
-    "found face": "an ellipse placed by the face found in the reference",
-    "ellipse": "an ellipse where a cropped face stands",
+    "given": "drawn by the user",
+    "found face": "an ellipse placed by the face detected in the reference",
+    "ellipse": "a central ellipse, for cropped faces",
     "faceframe": "an ellipse placed by the marked faceframe",
 }
 
@@ -329,7 +329,7 @@ def _crop(model: MorphModel) -> str:
 def _face_points(build: Build) -> str:
     """Describe in how many frames the face was found."""
     if build.faces_found is None:
-        return "not looked for"
+        return "not searched"
     found, count = int(build.faces_found.sum()), len(build.faces_found)
     without = "" if found == count else "; no face points were used in the others"
     return f"found in {found} of {count} frames{without}"

@@ -72,7 +72,7 @@ def components_of(model: MorphModel) -> Components:
         for number, strip in enumerate(strips)
     ]
     share = float(together[-1])
-    # with enough decimals that what is missing to 100 shows
+    # enough decimals to show the difference from 100
     words = f"{min(share, 99.99):.2f} %" if 99 <= share < 99.995 else f"{share:.1f} %"
     return Components(model.rank, rows, model.warp_weight, full, words, _variance_plot(together))
 

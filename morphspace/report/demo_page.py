@@ -19,8 +19,8 @@ from morphspace.stimuli.sampling import along
 from morphspace.storage import make_folder, write_text
 
 SEED = 1
-SHOWN_FRAMES = 8  # in a strip
-SWEPT = 4  # components
+SHOWN_FRAMES = 8  # frames in a strip
+SWEPT = 4  # components swept
 SWEPT_SD = (-2.0, -1.0, 0.0, 1.0, 2.0)
 RANDOM_FACES = 8
 CARICATURE_GAIN = 1.6
@@ -76,12 +76,12 @@ def demo_section(name: str, figures: Mapping[str, Any]) -> str:
 
 SECTION = """<section>
 <h2>{name}</h2>
-<p>{frames} frames, {components} components, {share:.0%} of the variance; frames come back at {psnr:.1f} dB.
+<p>{frames} frames, {components} components, {share:.0%} of the variance; frames are reconstructed at {psnr:.1f} dB.
 <a href="{name}.html">The build report</a>, <a href="{name}.morph">the model</a>.</p>
 <figure><img src="{name}/frames.png" alt="eight frames of the clip"><figcaption>Frames of the clip</figcaption></figure>
-<figure><img src="{name}/reconstructed.png" alt="the same frames, reconstructed"><figcaption>The same frames, taken
-apart into {components} loadings and put together again</figcaption></figure>
-<figure><img src="{name}/caricature.png" alt="the same frames, exaggerated"><figcaption>Caricature: every loading times
+<figure><img src="{name}/reconstructed.png" alt="the same frames, reconstructed"><figcaption>The same frames,
+reconstructed from {components} loadings</figcaption></figure>
+<figure><img src="{name}/caricature.png" alt="the same frames, exaggerated"><figcaption>Caricature: all loadings times
 {gain}</figcaption></figure>
 <div class="videos">
 <figure><video src="{name}/veridical.mp4" controls autoplay loop muted playsinline></video>
@@ -115,7 +115,7 @@ code {{ background: #efece6; padding: 0 .25em; }}
 </head>
 <body>
 <h1>morphspace: what a model of a face can do</h1>
-<p>Nobody's face is shown without right: the actors are drawn, the portrait is scikit-image's public-domain sample.
+<p>The actors are drawn; the portrait is scikit-image's public-domain sample.
 With your own frames: <code>morphspace build-model clips/*.png</code>.</p>
 {sections}
 </body>

@@ -36,7 +36,7 @@ def read_pair(
     names = (str(reference_path), str(frame_path))
     reference, frame = checked_pair(read_image(reference_path), read_image(frame_path), names)
     notes = [
-        f"{name} is one colour all over: nothing can be found, the flow is zero with zero confidence"
+        f"{name} is one colour all over: no motion can be found, the flow is zero with zero confidence"
         for name, image in zip(names, (reference, frame), strict=True)
         if is_featureless(image)
     ]
@@ -50,7 +50,7 @@ def read_pair(
         if stored.known.shape != (height, width):
             raise SizeMismatch(
                 f"{start_path} has {stored.known.shape[1]}x{stored.known.shape[0]} px, {names[0]} has "
-                f"{width}x{height}: a start lies on A's grid"
+                f"{width}x{height}: a start is defined on A's grid"
             )
         start = stored.displacement
         furthest_px = float(np.abs(start).max())

@@ -24,29 +24,29 @@ from morphspace.flow.baselines import LUMA
 from morphspace.grid import warp
 from morphspace.report.pictures import change_chart
 
-PANEL_PX = 440  # the longer side of a picture on the sheet
-LEAST_CELL_PX = 230  # a title needs so much room beside its neighbours
+PANEL_PX = 440  # px; the longer side of a picture on the sheet
+LEAST_CELL_PX = 230  # px; room for a title
 MARGIN_PX, GAP_PX, TITLE_PX = 32, 26, 30
 WHEEL_PX = 190
 LEGEND_PX = 260
-LINE_PX = 25  # from one line of figures to the next
+LINE_PX = 25  # px between lines of figures
 TITLE_SIZE, TEXT_SIZE, SMALL_SIZE = 17, 15, 13
 REGULAR, BOLD = 400, 600
 PAPER, INK, SOFT, RULE = (252, 252, 251), (34, 38, 43), (93, 102, 112), (205, 211, 217)
 GRID_INK, FOLD_INK = (20, 94, 132), (204, 13, 13)
-PALE = 0.5  # how far the picture under the grid is moved towards white
-LEAST_SPREAD = 0.005  # of a confidence worth a picture
-FULL_DIFFERENCE = 0.2  # of luma, shown in full colour
-GRID_LINES = 22  # along the longer side
-LONGEST_TEXT = 120  # characters; no line of the sheet has room for more
+PALE = 0.5  # share of white mixed into the picture under the grid
+LEAST_SPREAD = 0.005  # a confidence with a smaller spread is not drawn
+FULL_DIFFERENCE = 0.2  # difference of luma in full colour
+GRID_LINES = 22  # lines along the longer side
+LONGEST_TEXT = 120  # characters; the longest line that fits
 UNPRINTABLE = re.compile(r"[\x00-\x1f\x7f]+")
 SUBPIXEL_BITS = 4  # lines are placed to 1/16 px
 STRETCHES = (15, 6, 4, 11, 13, 6)  # hues from red to yellow, to green, to cyan, to blue, to magenta, to red
 CORNERS = np.array([[1, 0, 0], [1, 1, 0], [0, 1, 0], [0, 1, 1], [0, 0, 1], [1, 0, 1], [1, 0, 0]], np.float64)
-BEYOND = 0.75  # brightness of a displacement longer than the rim
-RIM_QUANTILE = 0.998  # a few outliers do not make the rest pale
-NICE = (1.0, 1.2, 1.5, 2.0, 2.5, 3.0, 4.0, 5.0, 6.0, 8.0, 10.0)  # what a rim may be, times a power of ten
-LEAST_RIM_PX = 0.1  # a field at rest stays white, noise or not
+BEYOND = 0.75  # brightness of displacements beyond the rim
+RIM_QUANTILE = 0.998  # ignores a few outliers, which would make all else pale
+NICE = (1.0, 1.2, 1.5, 2.0, 2.5, 3.0, 4.0, 5.0, 6.0, 8.0, 10.0)  # lengths of the rim, times a power of ten
+LEAST_RIM_PX = 0.1  # px; noise of a field without motion stays white
 
 Colour = tuple[int, int, int]
 
@@ -288,7 +288,7 @@ def _write(
 
 
 def _width(text: str, size: int, weight: int) -> int:
-    # the end of the pen's way; the box that getTextSize gives leaves out the blanks at both ends
+    # the end position of the pen; the box of getTextSize excludes blanks at both ends
     end, _ = cv2.putText(
         np.zeros((1, 1, 3), np.uint8), text, (0, 0), (0, 0, 0), cv2.FontFace("sans"), size, weight
     )

@@ -28,8 +28,8 @@ from morphspace.sets.protect import check_file
 from morphspace.steps import Step, Steps
 from morphspace.storage import digest_of_file, make_folder
 
-WARM_UP_PX = 64  # a side; what a method loads on its first call is not its time
-MEAN = "mean"  # the scene of a preset's last row
+WARM_UP_PX = 64  # px a side; a first call excludes loading from the measured time
+MEAN = "mean"  # scene name of a preset's last row
 REFERENCE, FRAME, TRUTH = "frame10.png", "frame11.png", "flow10.flo"
 PICTURE_FOLDERS = ("other-data", "other-data-gray")  # colour first: a scene that has both is read in colour
 TRUTH_FOLDER = "other-gt-flow"
@@ -53,7 +53,7 @@ def find_scenes(folder: str | Path) -> tuple[tuple[Scene, ...], tuple[str, ...]]
     """
     folder = Path(folder)
     if not folder.is_dir():
-        raise UnreadableFile(f"{folder} is no folder: give one that holds scenes with {REFERENCE}")
+        raise UnreadableFile(f"{folder} is not a folder. Give a folder of scenes with {REFERENCE}")
     places = {path.name: (path, path) for path in _folders(folder)}
     for pictures in PICTURE_FOLDERS:
         for path in _folders(folder / pictures):
@@ -111,7 +111,7 @@ def measured_scenes(
             errors = asdict(flow_errors(flow.displacement, truth))
             rows.append({"preset": preset, "scene": scene.name, **errors, "time_s": time_s})
     table = [row for preset in chosen for row in with_mean([row for row in rows if row["preset"] == preset])]
-    notes = (f"passed over, without a truth: {', '.join(bare)}",) if bare else ()
+    notes = (f"skipped, without a true flow: {', '.join(bare)}",) if bare else ()
     written: tuple[Path, ...] = ()
     if output is not None:
         write_metrics_table(output, {name: [row[name] for row in table] for name in table[0]})
@@ -141,7 +141,7 @@ def read_scene(scene: Scene) -> tuple[Image, Image, Displacement]:
             f"{reference.shape[1]}x{reference.shape[0]}: they are not of one scene"
         )
     if not known_flow(truth).any():
-        raise BadInput(f"{scene.truth} knows the flow of no pixel: nothing can be measured on this scene")
+        raise BadInput(f"{scene.truth} has no pixel with known flow. Leave out this scene")
     return reference, frame, truth
 
 

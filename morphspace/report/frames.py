@@ -19,8 +19,8 @@ from morphspace.linear.quality import psnr_db, rms_px
 from morphspace.model.passes import Build
 from morphspace.steps import Step, Steps, in_order, spread
 
-SHEET_FRAMES = 24  # on the contact sheet; enough to see the range of a clip at one glance
-SHEET_WIDTH_PX = 160  # of a small picture; a sheet of eight columns shows it at about this size
+SHEET_FRAMES = 24  # frames of the contact sheet; enough to show the range of a clip
+SHEET_WIDTH_PX = 160  # px; about the displayed width on a sheet of eight columns
 BLACK_LIGHT = 0.002  # added to linear light, so that sensor noise near black does not count as exposure
 
 

@@ -14,8 +14,8 @@ from morphspace.report import pictures
 from morphspace.report.page import Panel, fixed, p_value, render
 from morphspace.report.plots import PLOT_SIZE, SMALL_SIZE, Mark, Plot, line_plot, trace_plot
 
-TRACES_SHOWN = 12  # components; the table has all
-LEAST_RANGE_SD = 1.0  # of a trace's axis, so that a still component looks still
+TRACES_SHOWN = 12  # components plotted; the table has all
+LEAST_RANGE_SD = 1.0  # SD; range of a trace's axis, so that a still component looks still
 LEAST_RANGE_FRAMES = 4.0
 COLUMNS = (
     ("correlation", "r", 2),

@@ -13,10 +13,10 @@ from morphspace.report import pictures
 from morphspace.report.page import Panel, render
 from morphspace.report.plots import SMALL_SIZE, Plot, line_plot
 
-PAIRS_SHOWN = 24  # on the contact sheet
-TRACES_SHOWN = 8  # components; the table has all
-ROWS_SHOWN = 200  # of the quality table; flagged frames come first, quality.csv has all
-LEAST_RANGE_SD = 1.0  # of a trace's axis, so that a still component looks still
+PAIRS_SHOWN = 24  # pairs on the contact sheet
+TRACES_SHOWN = 8  # components plotted; the table has all
+ROWS_SHOWN = 200  # rows of the quality table, flagged frames first; quality.csv has all
+LEAST_RANGE_SD = 1.0  # SD; range of a trace's axis, so that a still component looks still
 HEADINGS: dict[str, tuple[str, int, float]] = {
     "warp_kept": ("motion kept, %", 0, 100),
     "missing_motion": ("missing at features, %", 1, 100),
@@ -31,8 +31,8 @@ HEADINGS: dict[str, tuple[str, int, float]] = {
     "pitch_deg": ("pitch, degrees", 0, 1),
 }
 """Columns of quality.csv in the page's table: heading, decimals, and the factor from the file's unit."""
-LEFT_OUT = ("texture_kept",)  # of quality.csv: below 0 between any two people, and read wrongly
-SHARES = ("warp_kept",)  # below 0 in the file where other motion was drawn; the page shows 0, none was kept
+LEFT_OUT = ("texture_kept",)  # column of quality.csv; below 0 between any two people, and easily misread
+SHARES = ("warp_kept",)  # negative in the file if other motion was drawn; the page shows 0
 
 
 @dataclass(frozen=True, eq=False)

@@ -24,20 +24,18 @@ from morphspace.steps import in_order
 
 Face = TypeVar("Face", Morph, MorphOffset)
 
-JPEG_QUALITY = 88  # on faces of this size its errors cannot be seen, and a page stays below a few megabytes
-STRIP_WIDTH_PX = (
-    160  # of a component's pictures; larger models are drawn at this width, not shrunk afterwards
-)
+JPEG_QUALITY = 88  # errors are invisible on faces of this size, and pages stay below a few megabytes
+STRIP_WIDTH_PX = 160  # px; width of a component's pictures, which are drawn at this size
 STRIP_AMOUNTS_SD = (-2, -1, 0, 1, 2)
-GAP_PX = 3  # between the two pictures of a contact sheet
-FOLD_SIDE_PX = 300  # below it a fold map is drawn at twice the size, so that single cells can be seen
-FINER = 4  # times, when a mask's outline is drawn; else it shows the pixels' steps
-FOLD_PALE = 0.55  # how far a fold map's face is moved towards white, so that the marks stand out
+GAP_PX = 3  # px between the two pictures of a contact sheet
+FOLD_SIDE_PX = 300  # px; smaller fold maps are drawn at twice the size, so that single cells are visible
+FINER = 4  # factor of enlargement for the outline of a mask, which avoids steps
+FOLD_PALE = 0.55  # share of white mixed into the face of a fold map, so that marks are visible
 FOLD_RED = np.array([0.80, 0.05, 0.05], np.float32)
 FOLD_OUTSIDE = np.array([0.95, 0.62, 0.20], np.float32)  # folded, but outside the mask
 CHANGE_INK = np.array([0.10, 0.30, 0.42], np.float32)
 UNSURE_INK = np.array([0.45, 0.10, 0.55], np.float32)  # unlike any skin, and unlike the folds' red
-PICTURE_SIDE_PX = 480  # the drawn mean is enlarged by whole numbers up to it
+PICTURE_SIDE_PX = 480  # px; the mean face is enlarged by an integer up to this size
 MARKS = (("R", (215, 40, 40)), ("L", (30, 90, 230)), ("P", (20, 130, 60)))  # letter and colour
 WHITE = (255, 255, 255)
 

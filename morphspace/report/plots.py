@@ -16,11 +16,11 @@ from morphspace.report.page import markup
 
 PLOT_SIZE = (1040, 300)
 SMALL_SIZE = (510, 190)
-LEFT, RIGHT, TOP, BOTTOM = 52, 14, 28, 34  # px around the drawing, free for the words of the axes
-LABEL_ROW_PX = 17  # height of one named point's row under the lowest point
-LABEL_CHARACTERS = 40  # a longer name is cut in a plot; the table below gives it whole
-POINTS_AT_MOST = 160  # with more, dots run together and the line alone is clearer
-LEGEND_PX = 62  # from one name of the legend to the next
+LEFT, RIGHT, TOP, BOTTOM = 52, 14, 28, 34  # px; margins for the axes' labels
+LABEL_ROW_PX = 17  # px; height of the row of a named point
+LABEL_CHARACTERS = 40  # characters; longer names are truncated, the table has them in full
+POINTS_AT_MOST = 160  # points; more would overlap, so only the line is drawn
+LEGEND_PX = 62  # px between names of the legend
 
 Point = tuple[float, float]
 

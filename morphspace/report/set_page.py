@@ -18,10 +18,10 @@ from morphspace.report.page import DASH, Panel, render
 from morphspace.report.plots import SMALL_SIZE, Mark, Plot, line_plot
 from morphspace.stimuli.image_statistics import FIGURES, SPACES
 
-SHOWN_AT_MOST = 96  # pictures of a sheet: some 10 kB each
-CLIPPED_PERCENT = 0.1  # of the colour values; fewer are the overshoot of a sharp edge
-FOLDED_PERCENT = 0.2  # of the face: of five recordings no training face folds; 0.4 has been seen as a crease
-SHEET_COLUMNS, MOST_COLUMNS = 8, 12  # of the sheet
+SHOWN_AT_MOST = 96  # pictures of a sheet, about 10 kB each
+CLIPPED_PERCENT = 0.1  # of the colour values; less is overshoot at sharp edges
+FOLDED_PERCENT = 0.2  # of the face; no training face of five recordings folds, and 0.4 was a visible crease
+SHEET_COLUMNS, MOST_COLUMNS = 8, 12  # columns of the sheet: usual and largest number
 NAMED_AT_MOST = 3  # stimuli named in one plot
 LISTED_AT_MOST = 200  # flagged stimuli in the table
 PLOTTED = {"luminance": 0.02, "rms_contrast": 0.02, "spectral_slope": 0.1}  # least range of each axis

@@ -575,7 +575,7 @@ def scenes(tmp_path, picture):
 
 def test_the_bench_gives_the_errors_of_every_scene_and_their_mean(scenes, asked):
     result = done("--bench", scenes, "-o", scenes / "t.csv", *FAST)
-    assert "passed over, without a truth: Bare" in result.stderr
+    assert "skipped, without a true flow: Bare" in result.stderr
     table = read_metrics_table(scenes / "t.csv")
     assert table["scene"] == ["Half", "Partly", "Two", "mean"] and table["preset"] == 4 * ["fast"]
     assert_allclose(table["aee_px"], [0.5, 0, 2, 2.5 / 3], atol=1e-6)
