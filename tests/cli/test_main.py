@@ -80,7 +80,7 @@ def test_a_build_without_the_networks_says_once_how_to_get_better(actor, tmp_pat
     models = [load_model(tmp_path / name) for name in ("a.morph", "b.morph")]
     assert [one.provenance["landmarks"] for one in models] == [None, None]
     assert models[0].model_id == models[1].model_id
-    assert "not looked for" in (tmp_path / "a.html").read_text()
+    assert "not searched" in (tmp_path / "a.html").read_text()
 
 
 def test_a_crop_that_needs_the_networks_is_refused_with_the_command_that_brings_them(actor, tmp_path):

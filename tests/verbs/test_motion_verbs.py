@@ -421,7 +421,7 @@ def test_two_pairs_of_models_of_one_name_are_kept_apart_in_a_batch(files, tmp_pa
 def test_a_loop_that_jumps_is_told_in_few_digits(files, tmp_path):
     request = TrajectoryRequest(files / "ann.morph", (files / "frown.csv",), tmp_path, ("loop=0",))
     (note,) = result_of(trajectory_verb.plan(request)).notes
-    assert re.search(r"jumps by \d(\.\d{1,2})? median steps where the loop closes", note), note
+    assert re.search(r"jumps by \d(\.\d{1,2})? median steps at the end of the loop", note), note
 
 
 @pytest.mark.parametrize(
@@ -432,9 +432,9 @@ def test_a_loop_that_jumps_is_told_in_few_digits(files, tmp_path):
         ("smile.csv:frame_003", "smile.csv", {}, "smile.csv:FRAME"),
         ("smile.csv:frame_003", "none.png", {}, "does not exist"),
         ("smile.csv:frame_003", "bob.morph", {}, "is a model"),
-        ("smile.csv:frame_003", "bob.morph", {"model": None}, "frame_003 is no model"),
+        ("smile.csv:frame_003", "bob.morph", {"model": None}, "frame_003 is not a model"),
         ("ann.morph", "ann.morph", {"model": None}, "the same one"),
-        ("ann.morph", "bob.morph", {"model": None, "crop": (0, 0, 40, 40)}, "leave it out"),
+        ("ann.morph", "bob.morph", {"model": None, "crop": (0, 0, 40, 40)}, "Leave it out"),
         (
             "smile.csv:frame_003",
             "smile.csv:frame_004",
