@@ -145,7 +145,7 @@ def avatar_result(
         surround=_surround(avatar),
         distances=mean_face_distances(models, avatar.model, avatar.judged),
         notes=avatar.notes,
-        settings=_settings_shown(avatar, settings),
+        settings=_settings_words(avatar, settings),
     )
 
 
@@ -167,7 +167,7 @@ def _surround(avatar: Avatar) -> str:
     return "flat field" if avatar.surround is None else avatar.identities[avatar.surround]
 
 
-def _settings_shown(avatar: Avatar, settings: AvatarSettings) -> dict[str, str]:
+def _settings_words(avatar: Avatar, settings: AvatarSettings) -> dict[str, str]:
     count = "all" if settings.expressions is None else f"{settings.expressions}"
     blend = avatar.model.provenance["blend"]
     return {

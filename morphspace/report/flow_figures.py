@@ -145,7 +145,7 @@ def landmarks_missed_px(field: Displacement, reference_points: Points, frame_poi
     return float(np.hypot(off_px[:, 0], off_px[:, 1]).mean())
 
 
-def shown(figures: Mapping[str, Any]) -> tuple[tuple[str, str], ...]:
+def figure_words(figures: Mapping[str, Any]) -> tuple[tuple[str, str], ...]:
     """Format figures for reading: names, and values with their units."""
     width, height = figures["size"]
     rows = [
@@ -159,8 +159,10 @@ def shown(figures: Mapping[str, Any]) -> tuple[tuple[str, str], ...]:
     ]
     if "forward_backward_mean_px" in figures:
         mean_px, p95_px = figures["forward_backward_mean_px"], figures["forward_backward_p95_px"]
-        told = ("none stays", "none stays") if mean_px is None else (f"{mean_px:.2f} px", f"{p95_px:.2f} px")
-        rows += [("there and back, mean", told[0]), ("95 % are within", told[1])]
+        distances = (
+            ("none stays", "none stays") if mean_px is None else (f"{mean_px:.2f} px", f"{p95_px:.2f} px")
+        )
+        rows += [("there and back, mean", distances[0]), ("95 % are within", distances[1])]
     if "started_from" in figures:
         rows.append(("start", ", back from ".join(figures["started_from"])))
         rows.append(("landmarks missed by", f"{figures['landmarks_missed_mean_px']:.2f} px"))

@@ -216,15 +216,15 @@ def _completed(batch: BatchPlan, rows: list[dict[str, Any]], folder_rows: list[d
         write_metrics_table(folder / FOLDERS_TABLE, tables[FOLDERS_TABLE])
         record = write_record(folder, "batch", settings, planned.inputs, [folder / FOLDERS_TABLE])
         written = (folder / FOLDERS_TABLE, record)
-        told = {"output": str(folder), "stimuli": 0, "folders": len(folder_rows)}
-        return Outcome(_folder_lines(batch), told, notes, written)
+        document = {"output": str(folder), "stimuli": 0, "folders": len(folder_rows)}
+        return Outcome(_folder_lines(batch), document, notes, written)
     first, *rest = planned.sets
     sets = [dataclasses.replace(first, inputs=planned.inputs, tables={**first.tables, **tables})]
     sets += [dataclasses.replace(one, inputs={}) for one in rest]
     outcome = complete_set(folder, sets, rows, "batch", settings)
     lines = (*outcome.lines, *(_folder_lines(batch) if folder_rows else ()))
-    told = {**outcome.document, "folders": len(folder_rows)}
-    return dataclasses.replace(outcome, lines=lines, document=told, warnings=(*outcome.warnings, *notes))
+    document = {**outcome.document, "folders": len(folder_rows)}
+    return dataclasses.replace(outcome, lines=lines, document=document, warnings=(*outcome.warnings, *notes))
 
 
 def _folder_notes(rows: list[dict[str, Any]]) -> list[str]:
@@ -255,8 +255,8 @@ def _stale_notes(folder: Path, planned: Planned) -> list[str]:
 
 def _folder_lines(batch: BatchPlan) -> tuple[str, ...]:
     names = [job.name for job in batch.planned.folders]
-    shown = ", ".join(names[:3]) + (f" and {len(names) - 3} more" if len(names) > 3 else "")
-    return (f"{batch.output}: {_counted(len(names), 'folder')} ({shown}), listed in {FOLDERS_TABLE}",)
+    listed = ", ".join(names[:3]) + (f" and {len(names) - 3} more" if len(names) > 3 else "")
+    return (f"{batch.output}: {_counted(len(names), 'folder')} ({listed}), listed in {FOLDERS_TABLE}",)
 
 
 def _tried(planned: PlannedSet, drawing: Drawing, folder: Path) -> tuple[float, float]:

@@ -108,7 +108,7 @@ def complete_set(
     made |= {f"{row['name']}.json": str(row["sidecar_sha256"]) for row in rows}
     record = _write_record(folder, verb, request, inputs, made, written)
     totals = {kind: len(found) for kind, found in to_look_at(rows).items()}
-    told = {
+    summary = {
         "output": str(folder),
         "stimuli": len(rows),
         "frames": sum(row["frames"] for row in rows),
@@ -116,10 +116,10 @@ def complete_set(
     }
     what = "stimulus" if len(rows) == 1 else "stimuli"
     identities = list(dict.fromkeys(planned.model.identity for planned in sets))
-    shown = ", ".join(identities[:3]) + (f" and {len(identities) - 3} more" if len(identities) > 3 else "")
-    lines = (f"{folder}: {len(rows)} {what} of {shown}; {folder / PAGE_NAME} shows them",)
+    listed = ", ".join(identities[:3]) + (f" and {len(identities) - 3} more" if len(identities) > 3 else "")
+    lines = (f"{folder}: {len(rows)} {what} of {listed}; {folder / PAGE_NAME} shows them",)
     stimuli = tuple(folder / name for name in made)
-    return Outcome(lines, told, (*notes, *_others(folder, made)), (*stimuli, *written, record))
+    return Outcome(lines, summary, (*notes, *_others(folder, made)), (*stimuli, *written, record))
 
 
 def _others(folder: Path, made: Mapping[str, str]) -> tuple[str, ...]:

@@ -72,17 +72,17 @@ def make_stimulus(
         If one of the files cannot be written.
     """
     path, sidecar = files or (folder / drawing.file_name, folder / f"{drawing.name}.json")
-    told = {key: value for key, value in head.items() if key != "request_sha256"}
-    told |= {"inputs": _inputs_of(drawing, head["inputs"]), "drawing": _told(drawing)}
-    told["made_from_sha256"] = made_from_of(told)
-    kept = _kept(path, sidecar, drawing, told["made_from_sha256"])
+    document = {key: value for key, value in head.items() if key != "request_sha256"}
+    document |= {"inputs": _inputs_of(drawing, head["inputs"]), "drawing": _as_json(drawing)}
+    document["made_from_sha256"] = made_from_of(document)
+    kept = _kept(path, sidecar, drawing, document["made_from_sha256"])
     if kept is not None:
         return kept
     with single_threads():
         drawn = draw_file(model, drawing, head, path, workers)
-    told["statistics"] = drawn.statistics
-    told["quality"] = quality_of(model, drawing, drawn)
-    told["output"] = {
+    document["statistics"] = drawn.statistics
+    document["quality"] = quality_of(model, drawing, drawn)
+    document["output"] = {
         "file": path.name,
         "sha256": digest_of_file(path),
         "bytes": path.stat().st_size,
@@ -90,16 +90,16 @@ def make_stimulus(
         "frame_rate_hz": drawing.frame_rate_hz,
         "size": list(drawn.size),
     }
-    text = sidecar_text(told)
+    text = sidecar_text(document)
     write_text(sidecar, text)
-    return _row(drawing, told, digest_of_bytes(text.encode()))
+    return _row(drawing, document, digest_of_bytes(text.encode()))
 
 
-def made_from_of(told: Mapping[str, Any]) -> str:
+def made_from_of(document: Mapping[str, Any]) -> str:
     """Compute the digest of all sidecar entries that determine the bytes of the stimulus."""
-    head = {key: told.get(key) for key in DECIDING}
+    head = {key: document.get(key) for key in DECIDING}
     head["request_sha256"] = digest_of_json(head["request"])
-    drawing = digest_of_bytes(sidecar_text(told["drawing"]).encode())
+    drawing = digest_of_bytes(sidecar_text(document["drawing"]).encode())
     return digest_of_json([digest_of_json(head), drawing])
 
 
@@ -116,7 +116,7 @@ def _inputs_of(drawing: Drawing, inputs: Mapping[str, str]) -> dict[str, str]:
     }
 
 
-def _told(drawing: Drawing) -> dict[str, Any]:
+def _as_json(drawing: Drawing) -> dict[str, Any]:
     """Return the drawing as JSON for its sidecar, without the clip's path on this disk."""
     document = drawing.document()
     if drawing.placing is not None:
@@ -150,12 +150,12 @@ def draw_file(
     encoding: Literal["lossless", "people"] = "lossless" if drawing.suffix == ".mkv" else "people"
     rate = drawing.frame_rate_hz
     clipped = write_video(path, images(), frame_rate_hz=rate, encoding=encoding, metadata=texts)
-    shown = _Shown(path)
-    statistics = image_statistics(shown.codes())
-    return Drawn(len(drawing.loadings_sd), shown.size, clipped, folded[0], statistics)
+    video = _DecodedVideo(path)
+    statistics = image_statistics(video.codes())
+    return Drawn(len(drawing.loadings_sd), video.size, clipped, folded[0], statistics)
 
 
-class _Shown:
+class _DecodedVideo:
     """A video as a viewer sees it, read back from its file because a lossy encoder changes the pixels."""
 
     def __init__(self, path: Path) -> None:

@@ -102,10 +102,10 @@ class MeasureSettings:
 
 @dataclass(frozen=True, eq=False)
 class WrittenImitation:
-    """A measured imitation: `told` are the entries of measures.json; `still` and `notes` are read first."""
+    """A measured imitation: `entries` are those of measures.json; `still` and `notes` are read first."""
 
     comparison: Comparison
-    told: dict[str, object]
+    entries: dict[str, object]
     still: tuple[str, ...]
     notes: tuple[str, ...]
     files: tuple[Path, ...]
@@ -195,7 +195,7 @@ def written_imitation(
         "carried_by": METHOD if asked.imitator else None,
     }
     visible = part.visible_share[:k] if part else np.ones(k)
-    told: dict[str, object] = {
+    entries: dict[str, object] = {
         "model_id": model.model_id,
         "identity": model.identity,
         "imitator_model_id": imitator.model.model_id if imitator else None,
@@ -219,11 +219,11 @@ def written_imitation(
         **settings,
     }
     share = 100 * model.basis.variances[:k] / model.basis.variances.sum()
-    written = [*write_measures(folder, comparison, share, visible, rate_hz, reasons, told), video]
+    written = [*write_measures(folder, comparison, share, visible, rate_hz, reasons, entries), video]
     for role, source, values in (("stimulus", stimulus, a_sd), ("imitation", imitation, b_sd)):
         written += _write_motion(folder / f"{role}.csv", source, values, model, part_name)
     page = folder / "index.html"
-    shown = MeasuredImitation(
+    contents = MeasuredImitation(
         comparison=comparison,
         stimulus_sd=a_sd,
         imitation_sd=b_sd,
@@ -235,11 +235,11 @@ def written_imitation(
         read_in=imitator.model.identity if imitator else None,
         video=video.name,
         panels=panels,
-        settings=_settings_shown(asked, told, part),
+        settings=_settings_words(asked, entries, part),
         rows=names,
         reasons=reasons,
     )
-    write_text(page, imitation_page(shown))
+    write_text(page, imitation_page(contents))
     inputs = {"model": digest_of_file(model_path)}
     if asked.mask:
         inputs["mask"] = digest_of_file(asked.mask)
@@ -250,7 +250,7 @@ def written_imitation(
     written.append(page)
     written.append(write_record(folder, VERB, settings, inputs, written))
     (folder / WORK_FOLDER).rmdir()
-    return WrittenImitation(comparison, {"no_face": faceless, **told}, still, tuple(notes), tuple(written))
+    return WrittenImitation(comparison, {"no_face": faceless, **entries}, still, tuple(notes), tuple(written))
 
 
 def _write_motion(
@@ -295,12 +295,12 @@ def _drawn(
         rows.append(("imitation", imitation.clip.images(imitation.places[:n].tolist())))
     left = 1 if stimulus.clip is not None else 0
     height = model.size[1]
-    shown = set(np.linspace(0, n - 1, min(n, PAIRS_SHOWN)).round().astype(int).tolist())
+    sampled = set(np.linspace(0, n - 1, min(n, PAIRS_SHOWN)).round().astype(int).tolist())
     pairs: list[tuple[str, Image, Image]] = []
 
     def frames() -> Iterator[Image]:
         for index, images in enumerate(zip(*(images for _, images in rows), strict=True)):
-            if index in shown:
+            if index in sampled:
                 label = f"{index / rate_hz:.2f} s" if rate_hz else f"frame {index}"
                 pairs.append((label, images[left], images[left + 1]))
             gap = np.ones((height, GAP_PX, 3), np.float32)
@@ -322,15 +322,15 @@ def of_height(image: Image, height: int) -> Image:
     return np.asarray(np.clip(scaled, 0, 1), np.float32)
 
 
-def _settings_shown(
-    asked: MeasureSettings, told: dict[str, object], part: Posterior | None
+def _settings_words(
+    asked: MeasureSettings, entries: dict[str, object], part: Posterior | None
 ) -> dict[str, str]:
-    shown = {
+    rows = {
         key.replace("_", " "): "not known" if value is None else str(value)
-        for key, value in told.items()
+        for key, value in entries.items()
         if key not in NOT_ON_PAGE
     }
     where = f"the mask {asked.mask.name}" if asked.mask else asked.region
     if part is not None:
         where += f"; of the components it shows {', '.join(f'{x:.0%}' for x in part.visible_share[:8])} ..."
-    return {"part of the face": where, **shown}
+    return {"part of the face": where, **rows}

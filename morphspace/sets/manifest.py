@@ -142,14 +142,14 @@ def write_manifest(
 
 
 def _property(name: str, column: Column) -> dict[str, str]:
-    told = {"@type": "PropertyValue", "name": name, "description": column.description}
-    return told if column.unit is None else {**told, "unitText": column.unit}
+    entry = {"@type": "PropertyValue", "name": name, "description": column.description}
+    return entry if column.unit is None else {**entry, "unitText": column.unit}
 
 
-def described_columns(told: Iterable[str], more: Mapping[str, Column]) -> dict[str, Column]:
+def described_columns(names: Iterable[str], more: Mapping[str, Column]) -> dict[str, Column]:
     """Return the descriptions of the drawings' entries, in order. Raises `BadInput` for an entry without one."""
     found = {}
-    for key in told:
+    for key in names:
         if key in FIRST_COLUMNS or key in LAST_COLUMNS:
             raise BadInput(f"the column {key!r} is one of the manifest's own. Give it another name")
         column = more.get(key) or TOLD_COLUMNS.get(key)

@@ -179,7 +179,7 @@ def video_steps(
 ) -> Steps[list[tuple[str, Image, Image]]]:
     """Write the video of source beside mimicry; return small pairs of a few frames for the page."""
     total = len(pictures)
-    shown = set(np.linspace(0, total - 1, min(total, PAIRS_SHOWN)).round().astype(int).tolist())
+    sampled = set(np.linspace(0, total - 1, min(total, PAIRS_SHOWN)).round().astype(int).tolist())
     pairs: list[tuple[str, Image, Image]] = []
     yield Step("video", 0, total)
 
@@ -187,7 +187,7 @@ def video_steps(
         sources = in_order(driver.picture, driver.given(range(total)))
         for place, (picture, path) in enumerate(zip(sources, pictures, strict=True)):
             mimicry = read_image(path)
-            if place in shown:
+            if place in sampled:
                 pairs.append(
                     (
                         driver.names[place],
@@ -347,7 +347,7 @@ def written_mimicry(
         *_clipped_note(made, drive.target),
         *_stale_note(folder / MIMIC_FRAMES, pictures),
     )
-    told = {
+    record = {
         **settings,
         "source": _identified(source),
         "target": _identified(target),
@@ -355,7 +355,7 @@ def written_mimicry(
         "frame_rate_hz": driver.rate_hz,
         "notes": list(notes),
     }
-    written = [*pictures, video, *write_quality(folder, columns, told)]
+    written = [*pictures, video, *write_quality(folder, columns, record)]
     written += _write_loadings(folder / "loadings.csv", loadings_sd, target, source, driver)
     result = MimicryResult(
         names=(source.model.identity, target.model.identity, driver.name),
@@ -365,7 +365,7 @@ def written_mimicry(
         columns=columns,
         notes=notes,
         video=video.name,
-        settings=_settings_shown(asked, told, source, target, driver),
+        settings=_settings_words(asked, record, source, target, driver),
     )
     write_text(page, mimic_page(result))
     written.append(page)
@@ -458,27 +458,27 @@ def _stale_note(folder: Path, pictures: Sequence[Path]) -> tuple[str, ...]:
     )
 
 
-def _settings_shown(
-    asked: MimicSettings, told: dict[str, Any], source: UsedModel, target: UsedModel, driver: Driver
+def _settings_words(
+    asked: MimicSettings, settings: dict[str, Any], source: UsedModel, target: UsedModel, driver: Driver
 ) -> dict[str, str]:
     sizes = [f"{used.model.size[0]}x{used.model.size[1]}" for used in (source, target)]
     rate = "not known" if driver.rate_hz is None else f"{driver.rate_hz:g} Hz"
     what = "a clip" if driver.is_pictures else "the source's training frames, from their loadings"
     return {
-        "method": told["method"] + (" (auto)" if asked.method == BEST else ""),
-        "gain": f"{told['gain']:g}" + (" (auto)" if told["gain_asked"] == "auto" else ""),
+        "method": settings["method"] + (" (auto)" if asked.method == BEST else ""),
+        "gain": f"{settings['gain']:g}" + (" (auto)" if settings["gain_asked"] == "auto" else ""),
         "bound of each loading": f"{asked.max_sd:g} SD",
-        "components": f"{told['components']} of {target.model.rank}",
+        "components": f"{settings['components']} of {target.model.rank}",
         "source": f"{source.model.identity}, model {source.model.model_id}, {sizes[0]}, {source.path.name}",
         "target": f"{target.model.identity}, model {target.model.model_id}, {sizes[1]}, {target.path.name}",
         "driven by": f"{driver.name}: {what}, {len(driver.names)} frames",
         "frame rate": rate,
-        "neutral faces": _neutral_shown(told["neutral"]),
-        "faces looked for": "yes" if told["faces_looked_for"] else "no",
+        "neutral faces": _neutral_words(settings["neutral"]),
+        "faces looked for": "yes" if settings["faces_looked_for"] else "no",
     }
 
 
-def _neutral_shown(neutral: dict[str, Any]) -> str:
+def _neutral_words(neutral: dict[str, Any]) -> str:
     frames = [neutral[f"{role}_frame"] or "the mean" for role in ("source", "target")]
     how = f"--neutral {neutral['asked']}"
     apart = "" if neutral["apart"] is None else f", {neutral['apart']:.1%} of the eye distance apart"

@@ -168,18 +168,18 @@ def _found(clip: Clip, folder: Path, components: int) -> tuple[Path, MorphModel 
         if not path.exists():
             return path, None
         model = load_model(path)
-        told = model.provenance
+        provenance = model.provenance
         same = (
-            told.get("inputs") == inputs
-            and told.get("identity") == (clip.sidecar.identity or clip.name)
-            and told.get("consent") == clip.sidecar.consent
-            and told.get("licence") == clip.sidecar.licence
-            and told.get("frame_rate_hz") == clip.sidecar.frame_rate_hz
+            provenance.get("inputs") == inputs
+            and provenance.get("identity") == (clip.sidecar.identity or clip.name)
+            and provenance.get("consent") == clip.sidecar.consent
+            and provenance.get("licence") == clip.sidecar.licence
+            and provenance.get("frame_rate_hz") == clip.sidecar.frame_rate_hz
             and (model.reference_faceframe is None) == (clip.sidecar.faceframe is None)
-            and told.get("components_asked") == components
+            and provenance.get("components_asked") == components
             and model.flow == methods.DEFAULT
             and model.size == size
-            and told.get("versions") == versions()
+            and provenance.get("versions") == versions()
         )
         if same:
             return path, model

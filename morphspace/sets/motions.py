@@ -113,10 +113,10 @@ def _motion(path: Path, model: MorphModel, rate_hz: float | None) -> tuple[Motio
         raise BadInput(
             f"{path} has {len(table.frame_names)} frames; expected at least {LEAST_FRAMES}. Give a table of a clip"
         )
-    told = rate_hz or (table.document or {}).get("frame_rate_hz") or model.provenance.get("frame_rate_hz")
-    if not told:
+    known_hz = rate_hz or (table.document or {}).get("frame_rate_hz") or model.provenance.get("frame_rate_hz")
+    if not known_hz:
         notes += (f"{path} has no frame rate: {FRAME_RATE_HZ:g} Hz is assumed; give --frame-rate",)
-    return Motion(path.stem, table.loadings_sd, float(told or FRAME_RATE_HZ)), notes
+    return Motion(path.stem, table.loadings_sd, float(known_hz or FRAME_RATE_HZ)), notes
 
 
 def _guide(path: Path, model: MorphModel, rate_hz: float | None) -> tuple[Motion, tuple[str, ...]]:
@@ -182,7 +182,7 @@ def _share(step: float, median: float) -> float | None:
 def told_of(made: MadeMotions, motion: Motion, weights: AnyArray, seed: int) -> dict[str, Any]:
     """Return the manifest entries of a motion (`COLUMNS`); `weights` (k,) are the SDs of its loadings."""
     median, largest, closing = _steps(motion, weights)
-    told: dict[str, Any] = {
+    entries: dict[str, Any] = {
         "tables": " ".join(made.names),
         "operations": " ".join(map(str, made.operations)),
         "ends": motion.ends,
@@ -191,5 +191,5 @@ def told_of(made: MadeMotions, motion: Motion, weights: AnyArray, seed: int) -> 
         "closing_step": _share(closing, median),
     }
     if any(one.word.startswith("scramble") for one in made.operations):
-        told["seed"] = seed
-    return told
+        entries["seed"] = seed
+    return entries

@@ -183,11 +183,11 @@ def _requests(job: Job, verb: Verb, recipe: Recipe, output: Path) -> tuple[Any, 
 
     try:
         request = request_from(verb.request, job.settings, opening, output=output)
-        told = request_from(verb.request, job.settings, telling, output=output)
+        portable = request_from(verb.request, job.settings, telling, output=output)
     except WrongSetting as error:
         where = job.lines.get(error.name, job.label)
         raise BadInput(f"{where}: {error.called(f'{error.name} of {job.verb}')}") from error
-    return request, request_document(told)
+    return request, request_document(portable)
 
 
 def _named(words: str, recipe: Recipe) -> tuple[str, str]:
@@ -201,7 +201,7 @@ def _named(words: str, recipe: Recipe) -> tuple[str, str]:
 
 
 def _set_of(job: Job, verb: Verb, recipe: Recipe, folder: Path, book: _Book) -> Steps[PlannedSet]:
-    request, told = _requests(job, verb, recipe, folder)
+    request, portable = _requests(job, verb, recipe, folder)
     _check_count(book.drawings + verb.asked(request), book.most, "stimuli")
     assert verb.plan is not None
     planned: PlannedSet = yield from verb.plan(request, book.model(getattr(request, "model", None)))
@@ -219,7 +219,7 @@ def _set_of(job: Job, verb: Verb, recipe: Recipe, folder: Path, book: _Book) -> 
         drawings.append(dataclasses.replace(drawing, name=name, told={**levels, **drawing.told}))
     return dataclasses.replace(
         planned,
-        request=told,
+        request=portable,
         drawings=tuple(drawings),
         columns=columns,
         tables=_own_tables(job, planned.tables, names, book),
@@ -243,13 +243,13 @@ def _levels_word(job: Job) -> str:
     return file_names([levels])[0] if levels else ""
 
 
-def _level_columns(levels: Mapping[str, Any], told: Mapping[str, Any]) -> dict[str, str]:
+def _level_columns(levels: Mapping[str, Any], entries: Mapping[str, Any]) -> dict[str, str]:
     """Return the factor of each added manifest column; a factor that the verb lists with equal values needs none."""
     columns = {}
     for factor, level in levels.items():
-        if factor in FIRST_COLUMNS or factor in LAST_COLUMNS or told.get(factor, level) != level:
+        if factor in FIRST_COLUMNS or factor in LAST_COLUMNS or entries.get(factor, level) != level:
             columns[f"factor_{factor}"] = factor
-        elif factor not in told:
+        elif factor not in entries:
             columns[factor] = factor
     return columns
 
@@ -285,7 +285,7 @@ def _folder_job(job: Job, verb: Verb, recipe: Recipe, folder: Path, book: _Book)
     places = {"verb": job.verb, **job.known}
     name = _name(job, places) or job.verb
     book.take(name, job, places)
-    request, told = _requests(job, verb, recipe, folder / name)
+    request, portable = _requests(job, verb, recipe, folder / name)
     if verb.check is not None:
         verb.check(request)
     digests = {
@@ -293,8 +293,8 @@ def _folder_job(job: Job, verb: Verb, recipe: Recipe, folder: Path, book: _Book)
         for setting in verb.files
         if getattr(request, setting) is not None
     }
-    made_from = digest_of_json([job.verb, told, digests, versions()])
-    return FolderJob(name, job.verb, request, told, job.levels, made_from)
+    made_from = digest_of_json([job.verb, portable, digests, versions()])
+    return FolderJob(name, job.verb, request, portable, job.levels, made_from)
 
 
 def _digest(given: str) -> Any:
@@ -306,12 +306,12 @@ def _digest(given: str) -> Any:
 def _check_folders(folders: Sequence[FolderJob], book: _Book) -> None:
     """Check that no stimulus or other folder is inside a folder that a verb fills. Raises `BadInput` otherwise."""
     owners = {job.name.casefold(): job.verb for job in folders}
-    for name, (shown, job) in book.names.items():
+    for name, (spelled, job) in book.names.items():
         parts = name.split("/")
         for depth in range(1, len(parts)):
             owner = owners.get("/".join(parts[:depth]))
             if owner is not None:
                 raise BadInput(
-                    f"{job.label} makes {shown!r} inside a folder that {owner} fills. Give one of them "
+                    f"{job.label} makes {spelled!r} inside a folder that {owner} fills. Give one of them "
                     "another name"
                 )

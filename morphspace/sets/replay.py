@@ -224,10 +224,10 @@ def _region(sidecar: Path, document: Mapping[str, Any]) -> Mask | None:
 def _others(document: Mapping[str, Any], model_sha256: str) -> list[str]:
     """List changes of the model file and of versions since the stimulus was drawn."""
     recorded = document["model"].get("sha256")
-    told = []
+    changes = []
     if model_sha256 != recorded:
-        told.append(f"the model's digest is {model_sha256[:16]}; recorded is {str(recorded)[:16]}")
-    return told + other_versions(document)
+        changes.append(f"the model's digest is {model_sha256[:16]}; recorded is {str(recorded)[:16]}")
+    return changes + other_versions(document)
 
 
 def _differences(
@@ -240,15 +240,17 @@ def _differences(
     explained: bool,
 ) -> list[str]:
     """List the differences of model, versions, size and pixels; `explained` if other differences are known."""
-    told = _others(document, model_sha256)
+    differences = _others(document, model_sha256)
     if list(size) != document["output"].get("size"):
-        told.append(f"the size is {size[0]}x{size[1]} px; recorded is {document['output'].get('size')}")
-    told.append(_pixels(again, file, drawing))
-    if len(told) == 1 and not explained:
-        told.append(
+        differences.append(
+            f"the size is {size[0]}x{size[1]} px; recorded is {document['output'].get('size')}"
+        )
+    differences.append(_pixels(again, file, drawing))
+    if len(differences) == 1 and not explained:
+        differences.append(
             "model and versions are the recorded ones: the sidecar or the file was edited, or the processor differs"
         )
-    return told
+    return differences
 
 
 def _pixels(again: Path, file: Path, drawing: Drawing) -> str:
@@ -297,15 +299,15 @@ def edited_entries(
     `again` is the new stimulus; None if its bytes differ from the recorded ones, and then figures of pixels are not
     compared.
     """
-    told = [f"{entry} is not an entry of a sidecar" for entry in document if entry not in KNOWN]
+    edited = [f"{entry} is not an entry of a sidecar" for entry in document if entry not in KNOWN]
     made_from = made_from_of(document)
     if made_from != document["made_from_sha256"]:
-        told.append(
+        edited.append(
             f"made_from_sha256 is {str(document['made_from_sha256'])[:16]}, the digest of the entries is "
             f"{made_from[:16]}: the sidecar was edited"
         )
-    told += _compared({"model_id": model.model_id, "identity": model.identity}, document["model"], "model")
-    told += _beside(document, sidecar, drawing)
+    edited += _compared({"model_id": model.model_id, "identity": model.identity}, document["model"], "model")
+    edited += _beside(document, sidecar, drawing)
     if again is not None:
         figures = {
             "statistics": drawn.statistics,
@@ -319,8 +321,8 @@ def edited_entries(
         }
         close = versions() != document["versions"]
         for name, found in json.loads(sidecar_text(figures)).items():
-            told += _compared(found, document[name], name, close)
-    return told
+            edited += _compared(found, document[name], name, close)
+    return edited
 
 
 def other_versions(document: Mapping[str, Any]) -> list[str]:

@@ -62,11 +62,11 @@ class Faces:
 
 def notes_on_identity(model: MorphModel, clip: Clip) -> tuple[str, ...]:
     """Note if a clip shows another person than the model."""
-    told = clip.sidecar.identity
-    if told is None or told == model.identity:
+    identity = clip.sidecar.identity
+    if identity is None or identity == model.identity:
         return ()
     return (
-        f"the clip {clip.name} shows {told}, the model shows {model.identity}: check that this is intended",
+        f"the clip {clip.name} shows {identity}, the model shows {model.identity}: check that this is intended",
     )
 
 
@@ -76,13 +76,13 @@ def rights_of(model: MorphModel, clip: Clip) -> dict[str, Any]:
     If they differ, each is listed with its person; for the same person the clip's entry is listed under the clip's
     name.
     """
-    told = clip.sidecar.identity
-    other = told if told not in (None, model.identity) else f"the clip {clip.name}"
+    identity = clip.sidecar.identity
+    other = identity if identity not in (None, model.identity) else f"the clip {clip.name}"
     labels = (model.identity, str(other))
     found = {}
     for key in RIGHTS:
         of_model, of_clip = model.provenance.get(key), getattr(clip.sidecar, key)
-        if of_clip is None and told == model.identity:
+        if of_clip is None and identity == model.identity:
             of_clip = of_model
         found[key] = told_together(labels, [of_model, of_clip])
     return found

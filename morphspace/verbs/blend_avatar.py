@@ -160,9 +160,9 @@ def run(request: BlendAvatarRequest) -> Steps[Outcome]:
         digests = [digest_of_file(path) for path in held]
         with work_folder(request.work_folder, request.output) as folder:
             avatar = yield from blend_steps(models, settings, folder)
-            shown = yield from avatar_result(avatar, models, settings)
+            result = yield from avatar_result(avatar, models, settings)
             avatar.model.save(request.output)
-            write_text(report, avatar_page(shown))
+            write_text(report, avatar_page(result))
         advice = landmark_words(avatar, detector is not None, request.output)
         notes = (*((NO_FINDER,) if missing else ()), *avatar.notes, *advice)
         return _outcome(avatar, request, report, digests, notes)

@@ -147,9 +147,9 @@ def _found_lines(build: Build) -> tuple[str, ...]:
     framing = build.model.provenance["framing"]
     lines: tuple[str, ...] = ()
     if "crop_found" in framing:
-        told = framing["crop_found"]
+        search = framing["crop_found"]
         box = ",".join(map(str, framing["crop"]))
-        lines += (f"crop {box}: around the head, found in {told['found']} of {told['frames']} frames",)
+        lines += (f"crop {box}: around the head, found in {search['found']} of {search['frames']} frames",)
     if build.faces_found is not None:
         keypoints = "set" if build.model.faceframe is not None else "not set"
         if build.model.faceframe is not None and build.model.landmarks is None:

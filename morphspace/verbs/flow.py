@@ -95,7 +95,7 @@ def run(request: FlowRequest) -> Steps[Outcome]:
     from morphspace.io.flow_fields import write_flows
     from morphspace.io.images import write_image
     from morphspace.outcome import RECORD_NAME, Outcome, write_record
-    from morphspace.report.flow_figures import found_flows, read_pair, shown
+    from morphspace.report.flow_figures import figure_words, found_flows, read_pair
     from morphspace.report.flow_picture import flow_picture
     from morphspace.report.flow_scenes import measured_scenes
     from morphspace.storage import digest_of_file, make_folder
@@ -122,7 +122,9 @@ def run(request: FlowRequest) -> Steps[Outcome]:
     written, figures = list(flows), found.figures
     if request.picture is not None:
         names = (reference.name, frame.name)
-        sheet = flow_picture(pair.reference, pair.frame, found.flow, names=names, figures=shown(figures))
+        sheet = flow_picture(
+            pair.reference, pair.frame, found.flow, names=names, figures=figure_words(figures)
+        )
         write_image(request.picture, sheet)
         written.append(request.picture)
     digests = {name: digest_of_file(path) for name, path in inputs.items()}
@@ -131,7 +133,7 @@ def run(request: FlowRequest) -> Steps[Outcome]:
     record = write_record(folder, "flow", _settings(request, found.started_from), digests, beside, name)
     lines = (
         f"{output}: from {reference.name} to {frame.name} by {preset}",
-        *(f"{name:<22}{value}" for name, value in shown(figures)),
+        *(f"{name:<22}{value}" for name, value in figure_words(figures)),
     )
     document = {"output": str(output), "preset": preset, **figures}
     return Outcome(lines, document, pair.notes, (*written, record))

@@ -60,8 +60,8 @@ def _blend_lines(model: MorphModel) -> tuple[str, ...]:
 
 
 def _blend_of(model: MorphModel) -> Mapping[str, Any] | None:
-    told = model.provenance.get("blend")
-    return told if isinstance(told, Mapping) else None
+    blend = model.provenance.get("blend")
+    return blend if isinstance(blend, Mapping) else None
 
 
 def run(request: InfoRequest) -> Steps[Outcome]:
@@ -91,8 +91,8 @@ def run(request: InfoRequest) -> Steps[Outcome]:
             ", ".join(f"{share:.1%}" for share in shares[:LISTED_COMPONENTS])
             or "none: the frames do not differ"
         ),
-        f"consent    {origin.get('consent') or 'not told'}",
-        f"licence    {origin.get('licence') or 'not told'}",
+        f"consent    {origin.get('consent') or 'not recorded'}",
+        f"licence    {origin.get('licence') or 'not recorded'}",
         "faceframe  " + _faceframe_words(model),
         "landmarks  "
         + (

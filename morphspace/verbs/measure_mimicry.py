@@ -133,7 +133,7 @@ def _outcome(folder: Path, made: WrittenImitation) -> Outcome:
 
     from morphspace.outcome import Outcome
 
-    comparison, told = made.comparison, made.told
+    comparison, entries = made.comparison, made.entries
     last = {name: float(values[-1]) for name, values in comparison.measures.items()}
     document = {name: value if np.isfinite(value) else None for name, value in last.items()}
     document |= {"alignment_timing_rms_frames": comparison.alignment.timing_rms_frames}
@@ -141,11 +141,15 @@ def _outcome(folder: Path, made: WrittenImitation) -> Outcome:
     def said(name: str, decimals: int = 2) -> str:
         return f"{last[name]:.{decimals}f}" if np.isfinite(last[name]) else "undefined"
 
-    missed = FACES_MISSING if told["no_face"] else 0
-    first = f"{folder}: {told['paired_frames']} frames in pairs, {told['components']} components"
+    missed = FACES_MISSING if entries["no_face"] else 0
+    first = f"{folder}: {entries['paired_frames']} frames in pairs, {entries['components']} components"
     if made.still:
         return Outcome(
-            (first, *made.still), {"output": str(folder), **told, **document}, made.notes, made.files, missed
+            (first, *made.still),
+            {"output": str(folder), **entries, **document},
+            made.notes,
+            made.files,
+            missed,
         )
     lines = (
         first,
@@ -156,4 +160,4 @@ def _outcome(folder: Path, made: WrittenImitation) -> Outcome:
         f"{said('correlation_aligned_p', 3)}, chance aligned too), frames moved by "
         f"{comparison.alignment.timing_rms_frames:.1f} rms",
     )
-    return Outcome(lines, {"output": str(folder), **told, **document}, made.notes, made.files, missed)
+    return Outcome(lines, {"output": str(folder), **entries, **document}, made.notes, made.files, missed)

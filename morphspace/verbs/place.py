@@ -96,7 +96,7 @@ def plan(request: PlaceRequest, model: MorphModel | None = None) -> Steps[Planne
     digests = source.file_digests
     inputs |= {f"clip/{name}": digest for name, digest in zip(source.names, digests, strict=True)}
     notes += notes_on_identity(model, source.clip)
-    shown = source.clip.sidecar.identity
+    identity = source.clip.sidecar.identity
     rate = request.frame_rate_hz or source.clip.sidecar.frame_rate_hz
     rate = rate or model.provenance.get("frame_rate_hz") or FRAME_RATE_HZ
     faces = Faces(source.clip.name, source.names, loadings_sd, float(rate), inputs)
@@ -110,7 +110,7 @@ def plan(request: PlaceRequest, model: MorphModel | None = None) -> Steps[Planne
             told={
                 "gain": float(request.gain),
                 "original": source.names[rows][0] if request.video is None else name,
-                **({} if shown is None else {ORIGINAL_IDENTITY: shown}),
+                **({} if identity is None else {ORIGINAL_IDENTITY: identity}),
             },
         )
         for name, rows in faces.stimuli(request.video)

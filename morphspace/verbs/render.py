@@ -68,14 +68,14 @@ def plan(request: RenderRequest, model: MorphModel | None = None) -> Steps[Plann
     faces = yield from faces_of(model, request.table, frame_rate_hz=request.frame_rate_hz)
     loadings_sd = caricatured(faces.loadings_sd, request.gain)
     check_reach(loadings_sd, faces.names, request.table)
-    told = {"gain": float(request.gain)}
+    gains = {"gain": float(request.gain)}
     if request.video is None:
         files = picture_names(faces.names)
         drawings = [
             Drawing(
                 file.removesuffix(".png"),
                 loadings_sd[row : row + 1],
-                told={"frame": faces.names[row], **told},
+                told={"frame": faces.names[row], **gains},
             )
             for row, file in enumerate(files)
         ]
@@ -87,7 +87,7 @@ def plan(request: RenderRequest, model: MorphModel | None = None) -> Steps[Plann
                 loadings_sd[rows],
                 frame_rate_hz=faces.frame_rate_hz,
                 suffix=request.video,
-                told={**told},
+                told={**gains},
             )
         ]
     return plan_of(request, "render", model, drawings, inputs=faces.inputs, notes=faces.notes)

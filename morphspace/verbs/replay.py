@@ -53,7 +53,7 @@ def run(request: ReplayRequest) -> Steps[Outcome]:
     else:
         first = "not the same"
     lines = (f"{again.name}: {first}", *(f"  {words}" for words in (*again.differences, *again.others)))
-    told = {
+    document = {
         "same": again.same,
         "file": again.found,
         "sha256": again.sha256,
@@ -68,4 +68,4 @@ def run(request: ReplayRequest) -> Steps[Outcome]:
         ),
     }
     written = () if request.output is None else (request.output,)
-    return Outcome(lines, told, notes.get(again.found, ()), written, 0 if again.same else DIFFERS)
+    return Outcome(lines, document, notes.get(again.found, ()), written, 0 if again.same else DIFFERS)

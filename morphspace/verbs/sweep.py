@@ -86,14 +86,14 @@ def _of_component(
 
     name = f"pc{component + 1:03d}"
     for amount in amounts_sd.tolist():
-        told = {"component": component + 1, "amount_sd": amount}
+        entries = {"component": component + 1, "amount_sd": amount}
         yield Drawing(
-            f"{name}_{amount_words(amount)}sd", along(model, component, np.array([amount])), told=told
+            f"{name}_{amount_words(amount)}sd", along(model, component, np.array([amount])), told=entries
         )
     phase = np.sin(2 * np.pi * np.arange(VIDEO_FRAMES) / VIDEO_FRAMES)
     there_and_back = along(model, component, furthest_sd * phase)
-    told = {"component": component + 1}
-    yield Drawing(name, there_and_back, frame_rate_hz=FRAME_RATE_HZ, suffix=".mp4", told=told)
+    entries = {"component": component + 1}
+    yield Drawing(name, there_and_back, frame_rate_hz=FRAME_RATE_HZ, suffix=".mp4", told=entries)
 
 
 def amount_words(amount_sd: float) -> str:

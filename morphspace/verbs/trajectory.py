@@ -164,5 +164,5 @@ def _write_table(request: TrajectoryRequest) -> Steps[Outcome]:
         f"{request.output}: {count} frames at {motion.rate_hz:g} Hz, {motion.duration_s:.2f} s"
         + (", a loop" if motion.ends == "closed" else ""),
     )
-    told = {"table": str(request.output), "frames": count, **told_of(made, motion, weights, request.seed)}
-    return Outcome(lines, told, made.notes, (request.output, sidecar))
+    outcome = {"table": str(request.output), "frames": count, **told_of(made, motion, weights, request.seed)}
+    return Outcome(lines, outcome, made.notes, (request.output, sidecar))
