@@ -404,5 +404,5 @@ def test_swapped_eyes_are_exchanged_and_points_outside_are_refused():
     with pytest.raises(BadInput, match="in its image of 40 x 35"):
         MarkedFaceframe("a.png", POINTS, (40, 35))
     MarkedFaceframe("a.png", POINTS, (40, 36))
-    with pytest.raises(BadInput, match="three finite"):
+    with pytest.raises(BadInput, match="not finite or not three"):
         MarkedFaceframe("a.png", np.full((3, 2), np.nan))
