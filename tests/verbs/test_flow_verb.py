@@ -611,7 +611,11 @@ def test_colour_comes_before_grey(scenes, asked, picture):
 
 @pytest.mark.parametrize(
     ("field", "mentioned"),
-    [(field_of(0, 0)[1:], "64x47"), (field_of(1e10, 0), "no pixel with known flow"), (field_of(np.nan, 0), "finite")],
+    [
+        (field_of(0, 0)[1:], "64x47"),
+        (field_of(1e10, 0), "no pixel with known flow"),
+        (field_of(np.nan, 0), "finite"),
+    ],
     ids=["size", "unknown", "nan"],
 )
 def test_a_truth_that_does_not_fit_is_named(scenes, asked, field, mentioned):
