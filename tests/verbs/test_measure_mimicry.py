@@ -514,7 +514,7 @@ def test_what_another_person_does_is_read_in_their_own_model_and_carried_over(wo
     record = json.loads((work / "out" / "record.json").read_text())
     assert record["inputs"]["imitator"] == digest_of_file(work / "other.morph")
     page = (work / "out" / "index.html").read_text()
-    assert "read in the model of other and carried over" in page
+    assert "encoded with the model of other and transferred" in page
     measured(work, *given, imitator=work / "other.morph", region="mouth")
     part = [
         read_loadings_table(work / "out" / f"{role}.csv").loadings_sd for role in ("stimulus", "imitation")
