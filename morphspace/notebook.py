@@ -24,6 +24,7 @@ from morphspace.io.images import write_image
 from morphspace.model.display import card, picture_tag
 from morphspace.model.encode import encoded_frames, framed_for, joined
 from morphspace.model.from_clip import ClipSettings, build_clip
+from morphspace.model.keypoints import region_of
 from morphspace.model.loadings import Loadings
 from morphspace.model.model import MorphModel, load_model
 from morphspace.outcome import versions
@@ -302,6 +303,10 @@ def caricature(
         If the loadings belong to another model.
     """
     rows = faces.in_sd(model).values
+    if region is not None:
+        region_of(model, region)  # raises here rather than when a face is drawn
+    if not len(gains):
+        raise BadInput("0 gains were given; expected at least 1, such as 1.5.")
     places = None if components is None else components_named(components, rows.shape[1])
     drawings = []
     for name, row in zip(faces.frame_names, rows, strict=True):

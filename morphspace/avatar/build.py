@@ -84,8 +84,7 @@ class Avatar:
         The amount of the unsharp mask.
     sharpness : dict
         Of the skin that all identities share: "sources" (k,), "blend" as the model draws it, "pictures" it was built
-        from,
-        "unsharpened" pictures, and the "pixel average".
+        from, "unsharpened" pictures, and the "pixel average".
     notes : tuple of str
     build : Build
     """

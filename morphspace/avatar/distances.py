@@ -25,8 +25,7 @@ class MeanDistances:
     ----------
     shape_percent : array or None
         Rms distance of landmarks in % of the eye distance, after size, position and rotation are removed; None where
-        a
-        model does not know its landmarks.
+        a model does not know its landmarks.
     colour_percent : array
         Rms difference of colour in % of white, inside the face that all share, with the mean faces on the blend's
         faceframe.

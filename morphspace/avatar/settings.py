@@ -36,8 +36,7 @@ class AvatarSettings:
         One a model; None for equal weights.
     faceframe : str
         The faceframe of every version: "mean", the weighted mean of all; "source", that of the identity whose
-        expression it is;
-        or the name of an identity.
+        expression it is; or the name of an identity.
     reference : str or None
         The identity whose mean face is the common grid; None for the one nearest to the others.
     expressions : int or None

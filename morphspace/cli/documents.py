@@ -33,7 +33,7 @@ def verbs_page() -> str:
     verbs = list(all_verbs())
     starred = recipe_verbs()
     rows = [
-        f"| [{verb.name}](#{verb.name}){'*' if verb.name in starred else ''} | {_first_line(verb)} |"
+        f"| [{verb.name}](#{verb.name.replace(' ', '-')}){'*' if verb.name in starred else ''} | {_first_line(verb)} |"
         for verb in verbs
     ]
     table = "\n".join(["| verb | what it does |", "|---|---|", *rows])

@@ -51,8 +51,7 @@ def register(
         Weight of the rigid part.
     start : array (2, 3), optional
         An estimate, for example from landmarks. It saves time if flow confirms it, and finds heads that flow loses. A
-        wrong
-        start costs time only.
+        wrong start costs time only.
 
     Returns
     -------

@@ -24,8 +24,7 @@ class Flow:
         u in px, with reference(p) ~ frame(p + u(p)).
     confidence : array (h, w) float32
         In [0, 1]: low where the frame does not match the reference (occluded or changed skin), 0 without texture and
-        outside
-        the frame.
+        outside the frame.
     """
 
     displacement: Displacement

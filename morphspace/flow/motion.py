@@ -113,14 +113,12 @@ def motion(
         Peak (frames) and width of the log-Gaussian.
     time_scale : float
         Weight of the terms in time. The published 24 gives the second derivative in time most weight. Use 1 for
-        camera
-        recordings (Notes).
+        camera recordings (Notes).
     zone_sd_px : float
         Width of the Gaussian that averages the six products; 0 for no average.
     plane : float
         Two-dimensionality at which the inner and outer form have equal weight without noise. Infinite is the first
-        form (1999),
-        the inner form alone.
+        form (1999), the inner form alone.
     least_gradient : float
         Smallest gradient that counts as texture, and change that counts as motion, in the clip's units per px.
 
@@ -240,8 +238,7 @@ def temporal_kernels(alpha_frames: float = 10.0, tau: float = 0.2) -> AnyArray:
     ------
     BadInput
         If the kernel does not fit in 23 frames or is too narrow to sample: the sum of k0 is off by more than 1e-3, or
-        those of k1 and
-        k2 by more than 1e-2.
+        those of k1 and k2 by more than 1e-2.
 
     References
     ----------

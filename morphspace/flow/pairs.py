@@ -34,8 +34,7 @@ def checked_picture(picture: Image, name: str) -> Image:
     ------
     BadInput
         If its shape or type is another, a side is outside `MIN_SIDE_PX` to `MAX_SIDE_PX`, or a value is not finite or
-        beyond
-        `LARGEST_VALUE`.
+        beyond `LARGEST_VALUE`.
 
     Examples
     --------

@@ -78,8 +78,7 @@ def read_image(path: str | Path, *, background: Sequence[float] | None = None) -
         If the file is missing, empty, truncated or not an image.
     BadInput
         If it has transparency and there is no background; if it has CMYK or unknown channels, several images, or
-        values
-        that are not finite.
+        values that are not finite.
     """
     path = Path(path)
     if background is not None and not (len(background) == 3 and all(0 <= value <= 1 for value in background)):

@@ -140,8 +140,7 @@ def read_marked_points(
     height : int, px
     lip : "philtrum", "upper-lip" or None
         Which third point to take from a template that has both, or the meaning of the third of three points. None is
-        the
-        philtrum, but in a `.tem` of three points, by WebMorph's convention, the lower edge of the upper lip.
+        the philtrum, but in a `.tem` of three points, by WebMorph's convention, the lower edge of the upper lip.
     y_axis : "auto" or "up"
         "auto" flips y of a `.tps` if y is negative or the lip lies above the eyes; a note says so. "up" always flips.
 

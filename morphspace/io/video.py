@@ -121,9 +121,8 @@ def write_video(
     frame_rate_hz : float
     encoding : "people" or "lossless"
         "people" is visually lossless H.264 (crf 14, yuv420p, BT.709) for all players; the last column or row is
-        repeated if
-        the width or height is odd. "lossless" keeps the 8-bit codes: FFV1 for `.mkv`, H.264 RGB with crf 0 for
-        `.mp4`.
+        repeated if the width or height is odd. "lossless" keeps the 8-bit codes: FFV1 for `.mkv`, H.264 RGB with crf
+        0 for `.mp4`.
     metadata : mapping of key to text, or None
         Keys are those of the container, such as `comment` and `copyright`.
 

@@ -188,8 +188,7 @@ def principal_axes(gram: AnyArray, components: int, energy: float) -> tuple[AnyA
     -------
     coefficients : array (k, n)
         components = coefficients @ offsets; k is at most `components`, n - 1 and the numerical rank. Each sign is
-        such that the
-        training face furthest along the component lies on its positive side.
+        such that the training face furthest along the component lies on its positive side.
     eigenvalues : array (k,)
         In descending order.
     """

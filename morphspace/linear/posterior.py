@@ -55,8 +55,7 @@ class Posterior:
         Weight of each number of an offset; 0 is not visible.
     noise_factor : float
         Ratio of the noise to the discarded variance per number. The errors of neighbouring numbers correlate, so only
-        one
-        in this many counts as independent.
+        one in this many counts as independent.
     observations : Observations, optional
         Observations besides the offset.
 

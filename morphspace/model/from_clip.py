@@ -48,8 +48,7 @@ class ClipSettings:
         A box of every frame, or "auto" for a box around the head.
     landmarks : {"auto", "anchor", "none"}
         "auto" finds the face in every frame if the detector's networks are installed. "anchor" also anchors the flow
-        to the
-        face points. "none" runs no detector.
+        to the face points. "none" runs no detector.
     mask : Path, optional
         A grey picture of the reference's size, white inside the face.
     reference : str, optional

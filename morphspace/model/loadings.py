@@ -37,8 +37,7 @@ class Loadings:
         The model whose components the columns refer to.
     unit : {"raw", "sd"}
         Raw loadings are in units of the model's inner product and satisfy R = P l. Tables and sidecars hold loadings
-        in SD
-        of each component over the training faces.
+        in SD of each component over the training faces.
 
     Raises
     ------

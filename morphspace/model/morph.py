@@ -223,8 +223,7 @@ def invert_mean_shape(mean_field: Displacement) -> Displacement:
     ------
     BadInput
         If the mean flow is not finite, folds in more than `MEAN_FOLDS` of its cells, or m(m^-1(p)) misses p by more
-        than
-        `INVERSE_TOL_PX` at the median. The frames then have no mean face.
+        than `INVERSE_TOL_PX` at the median. The frames then have no mean face.
     """
     if not np.isfinite(mean_field).all():
         raise BadInput(

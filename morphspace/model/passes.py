@@ -61,8 +61,7 @@ class BuildSettings:
         Flow method.
     start : {"auto", "none"}
         "auto" repeats hard frames from a neighbour's field (`flow.starts`). It assumes frames in temporal order and
-        does no
-        harm otherwise.
+        does no harm otherwise.
     reference : int, optional
         Index of the reference frame; None to choose it.
     warp_weight : float, optional
@@ -71,8 +70,7 @@ class BuildSettings:
         Drawn on the reference; None for an ellipse over the face.
     faceframe : FaceFrame, optional
         Marked on frame `faceframe_index`. It also places the rigid part and the mask, without registration: the head
-        should
-        have the same pose in that frame and in the reference.
+        should have the same pose in that frame and in the reference.
     faceframe_index : int, optional
     detector : Detector, optional
         Finds the face in each frame; see `build_steps`.

@@ -94,8 +94,7 @@ def search(frames: Sequence[SmallFrame], far: AnyArray | None = None) -> Steps[t
         The index of the reference.
     errors : dict of int to float
         The score of each candidate: the mean photometric error over the `HARDEST` share of the target frames. The
-        error of
-        a pair is the rms colour difference, inside the mask, of the warped frame and the candidate.
+        error of a pair is the rms colour difference, inside the mask, of the warped frame and the candidate.
     """
     images, mask = [frame.image for frame in frames], frames[-1].mask
     contrasts = np.array([frame.contrast for frame in frames])

@@ -229,8 +229,7 @@ class MimicSettings:
         One of `METHODS`, or "auto": `guided` if both models have landmarks, else `transfer`.
     gain
         Factor of the loadings. With "auto" the target moves as far as the source (`transfer.mimicry.auto_gain`). None
-        is
-        "auto" for `guided` and `transfer`, and 1 for the other methods.
+        is "auto" for `guided` and `transfer`, and 1 for the other methods.
     max_sd
         Bound of each loading, SD.
     components

@@ -42,8 +42,7 @@ def image_statistics(frames: Iterable[AnyArray]) -> dict[str, dict[str, float | 
     -------
     dict of dict
         `linear` and `code`, each with the `FIGURES`. None where a statistic is undefined: the contrast of a black
-        image,
-        the slope of a uniform or very small image.
+        image, the slope of a uniform or very small image.
 
     Raises
     ------

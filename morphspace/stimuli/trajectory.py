@@ -53,8 +53,7 @@ def bridge(
     weights : array (k,)
     most_step : float
         The longest step allowed. m is the smallest number of frames with which all steps, including those from and to
-        the
-        motions, are no longer.
+        the motions, are no longer.
     frames : int or None
         Sets m instead.
 

@@ -7,8 +7,7 @@ faceframes brings it to the target's mean face. The methods differ in how the ta
 - `map`: the most probable face of the target, given only what lies inside the source's mask (`probable`).
 - `transfer`: as `map`, with lids, brows and lips weighted more than cheeks if their position is known. Half of the
   motion outside the target's components is added (`residual_motion`), and the colours are mixed from training faces
-  of
-  the target (`colours`).
+  of the target (`colours`).
 - `guided`: as `transfer`, with the movement of the source's lids and inner lips as further observations, by the
   landmark
   regressions of both models (`guided`).
@@ -94,8 +93,7 @@ def mimic(
     ------
     BadInput
         If the method is unknown, the bound is not positive, a model has no components or no keypoints, or `neutral`
-        belongs
-        to other models; with `guided` also if a model has no landmark regression.
+        belongs to other models; with `guided` also if a model has no landmark regression.
 
     References
     ----------

@@ -48,8 +48,7 @@ class Neutral:
         Their training frames; None for the mean.
     means_apart, apart : float or None
         Distance between the lips of the two means, and of the two neutral faces, after the affine, in eye distances
-        of the
-        target. None if a model has no mesh points.
+        of the target. None if a model has no mesh points.
     """
 
     asked: str

@@ -102,8 +102,7 @@ class Reach:
     ----------
     missing_motion : float
         Requested motion at lids, brows and lips that the loadings do not show: 95th percentile, in eye distances of
-        the
-        target. It covers the whole face if the model has no mesh points.
+        the target. It covers the whole face if the model has no mesh points.
     colour_agreement : float
         Uncentred correlation of the requested and the shown change of colour, inside both masks; 0 if one is zero.
     opening_beyond : float or None

@@ -26,7 +26,7 @@ class KeypointsRequest:
     automatic: Annotated[
         bool,
         Option("--auto"),
-        Help("Detect them in the mean and in up to 40 training faces, each warped to the mean (median)."),
+        Help("Detect them in the mean and in up to 200 training faces, each warped to the mean (median)."),
     ] = False
     points: Annotated[
         tuple[Pair, Pair, Pair] | None,

@@ -355,7 +355,7 @@ def test_a_missing_device_is_named(device):
     pytest.importorskip("torch")
     with pytest.raises(BadInput, match=repr(device)) as caught:
         named_backend(f"torch:{device}")
-    assert "choose" in str(caught.value)
+    assert "Choose" in str(caught.value)
     assert "\n" not in str(caught.value)
 
 

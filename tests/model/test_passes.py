@@ -386,7 +386,7 @@ def test_frames_identical_to_the_reference_are_warned_of(clip, make_clip, tmp_pa
 @pytest.mark.parametrize("reference", [0, None])
 def test_frames_of_different_size_are_refused(clip, make_clip, picture, tmp_path, reference):
     pictures = [*clip.pictures[:4], picture(80, 64)]
-    with pytest.raises(BadInput, match=r"frame_004 is 64x80, the frames before are 60x72"):
+    with pytest.raises(BadInput, match=r"frame_004 has 64x80 px; expected 60x72"):
         built(make_clip(pictures), tmp_path, replace(PLAIN, reference=reference))
 
 

@@ -143,9 +143,9 @@ def test_a_crossfade_has_both_faces_at_once(line):
 @pytest.mark.parametrize(
     ("work", "said"),
     [
-        (lambda line: even_positions(0), "0 steps"),
+        (lambda line: even_positions(0), "number of steps is 0"),
         (lambda line: given_positions([0.5]), "at least 2"),
-        (lambda line: given_positions([]), "0 positions"),
+        (lambda line: given_positions([]), "number of positions is 0"),
         (lambda line: given_positions([0, float("nan"), 1]), "not all numbers"),
         (lambda line: given_positions([0, 1, 0.5]), "0.5 comes after 1"),
         (lambda line: given_positions([0, 0, 1]), "rising order"),
@@ -154,7 +154,7 @@ def test_a_crossfade_has_both_faces_at_once(line):
         (lambda line: Line(line.model, line.first, line.last[:2]), "3 and 2 loadings"),
         (
             lambda line: spaced_positions(Line(line.model, line.first, line.first + 1e-9), 3, "ssim"),
-            "nothing",
+            "equal in 8-bit codes",
         ),
     ],
 )

@@ -67,12 +67,10 @@ class Detector:
     ----------
     find : function
         Takes an image (h, w, 3) in [0, 1]; returns the points of its main face, or None without a face. It may be
-        called
-        from several threads at once.
+        called from several threads at once.
     identity : mapping
         A JSON document that differs whenever `find` may return other points. Stored results carry it, so that results
-        of
-        different detectors are never mixed.
+        of different detectors are never mixed.
 
     Raises
     ------
