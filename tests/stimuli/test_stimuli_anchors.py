@@ -12,6 +12,7 @@ from morphspace.errors import BadInput
 from morphspace.stimuli.continuum import Line, even_positions, given_positions
 from morphspace.stimuli.drawing import Drawing
 from morphspace.stimuli.image_statistics import image_statistics
+from morphspace.stimuli.motion_words import WORDS, operations_help
 from morphspace.stimuli.plausibility import plausibility, plausible_limits_sd
 from morphspace.stimuli.stepping import difference, equalised
 from morphspace.stimuli.timing import at_positions, positions_like, retimed, smoothed
@@ -29,14 +30,14 @@ def motion(seed, frames=40):
 
 
 def test_a_join_of_two_rough_motions():
-    """Frames of a join, and the second of twelve of a given one.
+    """Frames of a join, and the second and the last but one of twelve of a given one.
 
     FADING_FRAMES: 17 and 20 frames, -1.647 and -1.930; VELOCITY_FRAMES 1 and 20: -1.979 and -1.745.
     """
     before, after = motion(1), motion(2)
     short = bridge(before, after, WEIGHTS, usual_step([before, after], WEIGHTS))
     given = bridge(before, after, WEIGHTS, 0.5, 12)
-    assert len(short) == 17 and given[1, 1] == pytest.approx(-1.8013, abs=0.002)
+    assert len(short) == 17 and given[[1, -2], 1] == pytest.approx([-1.8013, 1.4725], abs=0.002)
 
 
 def test_a_motion_follows_a_guide_without_stop_and_go():
@@ -45,6 +46,11 @@ def test_a_motion_follows_a_guide_without_stop_and_go():
     guide = at_positions(motion(3), 39 * (np.arange(40) / 39) ** 1.3)
     speed = np.diff(positions_like(table, guide, WEIGHTS))
     assert np.sqrt((np.diff(speed) ** 2).mean()) == pytest.approx(0.0428, abs=0.0002)
+
+
+def test_only_what_rounding_takes_is_given_back():
+    """TINY: a last frame that is missing by 5e-9 of a frame is missing, and one by 5e-10 is not."""
+    assert [len(retimed(motion(1, 11), 10 / (10 - missing))) for missing in (5e-9, 5e-10)] == [10, 11]
 
 
 def test_what_smoothing_leaves_of_a_tremor():
@@ -74,6 +80,12 @@ def test_the_statistics_of_a_drawn_face(drawn_anna):
     known = image_statistics([codes])
     assert known["code"]["spectral_slope"] == pytest.approx(-1.1099, abs=1e-3)
     assert known["linear"]["luminance"] == pytest.approx(0.22948, abs=2e-5)  # all channels; LUMINANCE
+
+
+def test_the_help_of_operations_is_two_columns_two_blanks_apart():
+    width = max(len(word.form(name)) for name, word in WORDS.items()) + 2
+    for line in operations_help().split("\n"):
+        assert line[width - 2 : width] == "  " and line[width] != " "
 
 
 @pytest.mark.parametrize(("furthest_sd", "beyond"), [(3.02, ()), (3.05, (1,))])
