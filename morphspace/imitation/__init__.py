@@ -3,6 +3,6 @@
 from morphspace.imitation.alignment import Alignment, align
 from morphspace.imitation.chance import Baseline
 from morphspace.imitation.comparison import Comparison, compare
-from morphspace.imitation.masked import masked_basis
+from morphspace.imitation.part_of_face import masked_basis
 
 __all__ = ["Alignment", "Baseline", "Comparison", "align", "compare", "masked_basis"]

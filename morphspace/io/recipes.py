@@ -2,7 +2,8 @@
 
 `data_spec/recipe.md` describes both. A recipe is checked completely before any file is opened: all keys are known,
 and all placeholders have values. Each message names the line and the nearest correct word. The result is a list of
-jobs, a verb and its settings each; the caller supplies the settings of each verb. Ours.
+jobs, a verb and its settings each. The settings of a verb are declared in its own file of `verbs/`; `requests.py` reads
+them. Ours.
 """
 
 from __future__ import annotations
