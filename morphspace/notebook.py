@@ -24,12 +24,12 @@ from morphspace.io.images import write_image
 from morphspace.model.display import card, picture_tag
 from morphspace.model.encode import encoded_frames, framed_for, joined
 from morphspace.model.from_clip import ClipSettings, build_clip
-from morphspace.model.keypoints import region_of
 from morphspace.model.loadings import Loadings
 from morphspace.model.model import MorphModel, load_model
-from morphspace.outcome import versions
+from morphspace.outcome import versions as package_versions
+from morphspace.sets.continuum import continuum_drawings
 from morphspace.steps import Step, Steps, result_of
-from morphspace.stimuli.caricature import caricatured, components_named
+from morphspace.stimuli.caricature import caricature_drawing, caricature_region, components_named
 from morphspace.stimuli.continuum import Line, Spacing, spaced_positions
 from morphspace.stimuli.drawing import Drawing, check_name
 from morphspace.stimuli.drawn import draw
@@ -262,7 +262,7 @@ def blend(
     BadInput
         If the models cannot be blended, or a setting does not fit them.
     """
-    settings = {"provenance": {"versions": versions()}, **settings}
+    settings = {"provenance": {"versions": package_versions()}, **settings}
     if work_folder is not None:
         return _run(blend_steps(models, AvatarSettings(**settings), Path(work_folder)), progress).model
     with tempfile.TemporaryDirectory(prefix="morphspace-") as folder:
@@ -293,7 +293,8 @@ def caricature(
     components
         The components that change, from 1, such as "1-5,8"; None for all.
     region
-        The part of the face that changes: eyes, brows, mouth, nose, upper, lower, joined by "+"; None for all.
+        The part of the face that changes: eyes, brows, mouth, nose, upper, lower, joined by "+", or the file
+        of a grey image of the model's size; None for all.
 
     Raises
     ------
@@ -303,27 +304,27 @@ def caricature(
         If the loadings belong to another model.
     """
     rows = faces.in_sd(model).values
-    if region is not None:
-        region_of(model, region)  # raises here rather than when a face is drawn
     if not len(gains):
         raise BadInput("0 gains were given; expected at least 1, such as 1.5.")
     places = None if components is None else components_named(components, rows.shape[1])
-    drawings = []
-    for name, row in zip(faces.frame_names, rows, strict=True):
-        for gain in gains:
-            shape, colour = (
-                caricatured(row[None], gain if own is None else own, places)
-                for own in (warp_gain, texture_gain)
-            )
-            drawings.append(
-                Drawing(
-                    name=f"{name}_g{gain:g}",
-                    loadings_sd=shape,
-                    colour_sd=None if warp_gain is None and texture_gain is None else colour,
-                    region=region,
-                    outside_sd=None if region is None else row[None],
-                )
-            )
+    mask, _ = caricature_region(region, model)
+    one_gain = warp_gain is None and texture_gain is None
+    versions = dict.fromkeys(
+        (gain, gain) if one_gain else tuple(gain if own is None else own for own in (warp_gain, texture_gain))
+        for gain in gains
+    )
+    drawings = [
+        caricature_drawing(
+            name,
+            row[None],
+            {"gain": warp} if one_gain else {"warp_gain": warp, "texture_gain": texture},
+            components=places,
+            region=region,
+            mask=mask,
+        )
+        for name, row in zip(faces.frame_names, rows, strict=True)
+        for warp, texture in versions
+    ]
     return _faces(model, drawings)
 
 
@@ -402,7 +403,7 @@ def continuum(
     """
     if isinstance(first, MorphModel) and isinstance(last, MorphModel):
         inputs = {"first": first.model_id, "last": last.model_id}
-        pair = pair_model([first, last], flow=DEFAULT, inputs=inputs, versions=versions()).model
+        pair = pair_model([first, last], flow=DEFAULT, inputs=inputs, versions=package_versions()).model
         line = Line(pair, *pair.training.values)
     elif model is not None and isinstance(first, Loadings) and isinstance(last, Loadings):
         ends = [one.in_sd(model).values for one in (first, last)]
@@ -418,13 +419,7 @@ def continuum(
             "the model they belong to. Give one of these."
         )
     positions = spaced_positions(line, steps, spacing).positions
-    names = [f"step_{place:02d}" for place in range(len(positions))]
-    sd = np.where(line.model.sd[: len(line.first)] > 0, line.model.sd[: len(line.first)], 1.0)
-    drawings = [
-        Drawing(name=name, loadings_sd=(row / sd)[None])
-        for name, row in zip(names, line.loadings(positions), strict=True)
-    ]
-    return _faces(line.model, drawings)
+    return _faces(line.model, continuum_drawings(line, "continuum", positions, spacing))
 
 
 def plot(what: MorphModel | Loadings, **options: Any) -> Any:

@@ -33,6 +33,20 @@ def test_a_caricature_of_gain_1_is_the_face(model):
     assert drawn.names == ("frame_000_g1", "frame_001_g1")
 
 
+def test_gains_of_warp_and_texture_apart_give_each_pair_once(model):
+    faces = model.training[0]
+    assert ms.caricature(model, faces, gains=(1.0, 2.0), warp_gain=0.5).names == (
+        "frame_000_w0.5_t1",
+        "frame_000_w0.5_t2",
+    )
+    assert len(ms.caricature(model, faces, gains=(1.0, 2.0), warp_gain=0.5, texture_gain=0.0)) == 1
+
+
+def test_a_region_that_is_none_is_refused_at_once(model):
+    with pytest.raises(BadInput, match="ears"):
+        ms.caricature(model, model.training[0], region="ears")
+
+
 def test_a_gain_of_0_is_the_mean_face(model):
     (drawn,) = ms.caricature(model, model.training[0], gains=(0.0,))
     assert_allclose(drawn, np.clip(model.mean.render(), 0, 1), atol=1e-6)
