@@ -17,7 +17,7 @@ from morphspace.avatar.common_grid import CommonFace, common_face, placed, place
 from morphspace.avatar.notes import notes_on
 from morphspace.avatar.prepared import studio_of
 from morphspace.avatar.selection import labels_of, model_key, spread_out
-from morphspace.avatar.settings import check_settings
+from morphspace.avatar.settings import Expression, check_settings
 from morphspace.avatar.sharpness import curve, mean_curve, sharpened, sharpness
 from morphspace.avatar.versions import LEAST, Gaps, Version, falling
 from morphspace.avatar.visible import inside_outline, skin_share
@@ -364,6 +364,25 @@ def test_the_finished_model_is_as_sharp_as_its_sources(anna, ben, tmp_path):
     assert avatar.sharpness["blend"] == pytest.approx(np.mean(drawn), rel=1e-6)
     assert avatar.sharpen == 0 or NEAR[0] <= avatar.sharpness["blend"] / wanted <= NEAR[1]
     assert avatar.sharpness["blend"] >= NEAR[0] * wanted
+
+
+def test_the_keypoints_of_a_blend_say_that_they_come_from_the_blend(anna, ben, tmp_path):
+    avatar = blended([anna, ben], tmp_path)
+    assert avatar.model.provenance["keypoints"]["source"] == "blend"
+    assert avatar.model.provenance["keypoints"]["on"] == "mean"
+
+
+def test_an_identity_that_is_left_out_is_named_with_its_count(anna, ben):
+    studio = studio_of([anna, ben], AvatarSettings())
+    expressions = [
+        Expression(
+            0, f"f{place}", f"anna_f{place}", np.array([1.0, 0.0] if place < 4 else [0.5, 0.5]), np.ones(2)
+        )
+        for place in range(8)
+    ]
+    (note,) = [one for one in notes_on(studio, expressions, 1.0) if "left out" in one]
+    assert "ben is left out of 4 of 8 expressions" in note
+    assert "(anna_f0, anna_f1, anna_f2, ...)" in note
 
 
 def test_a_blend_that_is_not_as_sharp_as_its_sources_is_told(anna, ben, tmp_path):
