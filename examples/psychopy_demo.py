@@ -15,7 +15,7 @@ of one cycle, laid in a square whose side is a power of two, as that one wants; 
 from __future__ import annotations
 
 import argparse
-import csv
+import re
 import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -26,10 +26,18 @@ import numpy as np
 
 from morphspace.errors import BadInput, MorphspaceError
 from morphspace.io.images import read_image
+from morphspace.io.texts import number_remedy, read_table
 from morphspace.io.video import read_frames
 from morphspace.storage import digest_of_file
 
 MOST_BYTES = 4_000_000_000  # held in memory; a larger set is shown in parts, see --select
+NUMBERS = {
+    "frames": r"[1-9]\d*",
+    "width_px": r"[1-9]\d*",
+    "height_px": r"[1-9]\d*",
+    "frame_rate_hz": r"(\d+(\.\d+)?)?",
+}  # columns and what their cells are; a picture has no rate
+NEEDED = ("file", "sha256", *NUMBERS)
 GREY = 0.0  # PsychoPy's middle grey, and the background of its windows
 
 
@@ -69,8 +77,17 @@ def read_manifest(folder: Path) -> list[dict[str, str]]:
     path = folder / "manifest.csv"
     if not path.is_file():
         raise BadInput(f"{path} is not there: give the folder of a stimulus set")
-    with path.open(encoding="utf-8", newline="") as file:
-        return list(csv.DictReader(file))
+    table = read_table(path)
+    for column in NEEDED:
+        if column not in table.headings:
+            raise BadInput(f"{path} has no column {column!r}: give the manifest as the set was made with it")
+    rows = [dict(zip(table.headings, row, strict=True)) for row in table.rows]
+    for line, row in zip(table.lines, rows, strict=True):
+        for column, kind in NUMBERS.items():
+            cell = row[column]
+            if not re.fullmatch(kind, cell):
+                raise BadInput(f"{path} line {line}: {column} is {cell!r}: {number_remedy(cell)}")
+    return rows
 
 
 def chosen(rows: list[dict[str, str]], wanted: Mapping[str, str]) -> list[dict[str, str]]:

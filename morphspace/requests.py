@@ -29,6 +29,7 @@ from morphspace.settings import (
     Option,
     Separated,
     WrongSetting,
+    check_decimal_points,
     converted,
     field_of,
 )
@@ -144,12 +145,13 @@ def request_from(
     Raises
     ------
     WrongSetting
-        If a setting is missing or has a wrong value.
+        If a setting is missing or has a wrong value, or a text has commas between numbers.
     """
     values = {}
     for field in fields_of(kind):
         if field.name in settings:
             given = settings[field.name]
+            check_decimal_points(field, given)
             is_nothing = field.optional and isinstance(given, str) and given == NOTHING
             values[field.name] = None if is_nothing else converted(field, given, place)
         elif field.required and field.name not in more:

@@ -284,6 +284,22 @@ def converted(field: Field, given: Any, place: Callable[[str], Path] = Path) -> 
         raise WrongSetting(field.name, f"is {_shown(given)}; expected {field.words}") from error
 
 
+def check_decimal_points(field: Field, given: Any) -> None:
+    """Refuse a text with commas for a list of any number of numbers, as in a recipe: 1,5 may be one number or two.
+
+    Raises
+    ------
+    WrongSetting
+        If the text has a comma.
+    """
+    values = field.values
+    if values is None or values[-1] is not Ellipsis or not _is_number(values[0]):
+        return
+    if isinstance(given, str) and "," in given and _mark(field.marks, Separated) is None:
+        rest = "expected decimal points, and semicolons between numbers. Replace the commas"
+        raise WrongSetting(field.name, f"is {_shown(given)}; {rest}")
+
+
 def _converted(given: Any, kind: Any, marks: tuple[Any, ...], place: Callable[[str], Path]) -> Any:
     kind, marks = _bare(kind, marks)
     origin = typing.get_origin(kind)
@@ -502,6 +518,9 @@ def _list_schemas(inner: tuple[Any, ...], marks: tuple[Any, ...]) -> list[dict[s
     each = [{"anyOf": json_schemas(one)} for one in inner if one is not Ellipsis]
     between, one = _separators(inner, marks), rf"\s*{_pattern(inner[0])}\s*"
     if inner[-1] is Ellipsis:
+        between = (
+            TEXT_SEPARATORS if between == f"[{NUMBER_SEPARATORS}]" else between
+        )  # `check_decimal_points`
         text = f"^{one}({between}{one})*$"
         return [
             *each,

@@ -7,8 +7,6 @@ repeated keys are refused: nothing is executed, and a small file cannot expand i
 
 from __future__ import annotations
 
-import csv
-import io
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -18,8 +16,9 @@ from typing import Any
 import yaml
 
 from morphspace.errors import BadInput, UnreadableFile
+from morphspace.io.limits import RECIPE_BYTES
+from morphspace.io.texts import read_table, read_text
 
-LARGEST_BYTES = 20_000_000  # bytes; a table of 100,000 rows has a fifth of it
 DEEPEST = 12  # levels; a recipe has six
 INTEGER = re.compile(r"[-+]?(0|[1-9][0-9]{0,14})")  # not 0001, which may name an identity or a frame
 NUMBER = re.compile(r"[-+]?(\.[0-9]+|(0|[1-9][0-9]*)(\.[0-9]*)?)([eE][-+]?[0-9]{1,3})?")
@@ -70,7 +69,7 @@ def read_yaml(path: Path) -> Lined:
     BadInput
         If it has aliases, tags, repeated keys or too many levels.
     """
-    text = _text_of(path)
+    text = read_text(path, RECIPE_BYTES)
     try:
         root = yaml.compose(text, Loader=yaml.SafeLoader)
     except yaml.MarkedYAMLError as error:
@@ -99,61 +98,13 @@ def read_rows(path: Path) -> Lined:
     BadInput
         If rows differ in length, or a column has no name or the name of another.
     """
-    text = _text_of(path)
-    rows: list[dict[str, str]] = []
-    lines: dict[Spot, int] = {(): 1}
-    reader = csv.reader(io.StringIO(text, newline=""), strict=True)
-    try:
-        headings = [cell.strip() for cell in next(reader, [])]
-        _check_headings(path, headings)
-        start = reader.line_num + 1
-        for cells in reader:
-            line, start = start, reader.line_num + 1
-            if not any(cell.strip() for cell in cells):
-                continue
-            if len(cells) != len(headings):
-                raise BadInput(
-                    f"{path} line {line} has {len(cells)} cells; expected {len(headings)} columns as in the first "
-                    "row. Put a cell with a comma in double quotes"
-                )
-            lines[(len(rows),)] = line
-            rows.append(
-                {name: cell.strip() for name, cell in zip(headings, cells, strict=True) if cell.strip()}
-            )
-    except csv.Error as error:
-        raise UnreadableFile(f"{path} line {reader.line_num} is not CSV: {error}. Export it again") from error
+    table = read_table(path)
+    rows = [
+        {name: cell.strip() for name, cell in zip(table.headings, cells, strict=True) if cell.strip()}
+        for cells in table.rows
+    ]
+    lines: dict[Spot, int] = {(): 1, **{(row,): line for row, line in enumerate(table.lines)}}
     return Lined(path, rows, lines)
-
-
-def _check_headings(path: Path, headings: list[str]) -> None:
-    if not any(headings):
-        raise UnreadableFile(f"{path} is empty; expected a first row of column names. Export it again")
-    if len(headings) == 1 and ";" in headings[0]:
-        raise BadInput(f"{path} line 1 has semicolons between the columns; expected commas. Export it again")
-    for place, name in enumerate(headings):
-        if not name:
-            raise BadInput(
-                f"{path} line 1: column {place + 1} has no name; expected one. Name or remove the column"
-            )
-        if name in headings[:place]:
-            raise BadInput(f"{path} line 1: column {name!r} is repeated; expected unique names. Rename it")
-
-
-def _text_of(path: Path) -> str:
-    try:
-        size = path.stat().st_size
-        if size > LARGEST_BYTES:
-            raise BadInput(f"{path} has {size} bytes; expected at most {LARGEST_BYTES}. Split it")
-        text = path.read_text(encoding="utf-8-sig")
-    except OSError as error:
-        raise UnreadableFile(
-            f"cannot read {path}: {error.strerror}. Check the name and the permissions"
-        ) from error
-    except UnicodeDecodeError as error:
-        raise UnreadableFile(f"{path} is not a text in UTF-8: {error.reason}. Save it as UTF-8") from error
-    if "\0" in text:
-        raise UnreadableFile(f"{path} is not a text: it holds zero bytes. Save it as UTF-8")
-    return text
 
 
 def _plain(path: Path, node: Any, spot: Spot, lines: dict[Spot, int], seen: set[int]) -> Any:

@@ -1,7 +1,8 @@
 """Tables of numbers as CSV with the unit in each heading: loadings over time, and measures.
 
 The loadings table is the recorded motion of a face; `data_spec/loadings-table.md` describes it. Each number is
-written as the shortest text that reads back to the same 64-bit value.
+written as the shortest text that reads back to the same 64-bit value. Frame names are compared in NFC, since systems
+write accents as one character or as two.
 """
 
 from __future__ import annotations
@@ -9,6 +10,7 @@ from __future__ import annotations
 import csv
 import io
 import re
+import unicodedata
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,8 +19,9 @@ from typing import Any
 import numpy as np
 
 from morphspace.arrays import LoadingTable
-from morphspace.errors import BadInput, UnreadableFile
+from morphspace.errors import BadInput
 from morphspace.io.sidecars import check_format, read_json_object
+from morphspace.io.texts import COMMA_NUMBER, DATE, Table, number_remedy, read_table
 from morphspace.storage import json_text, write_text
 
 LOADINGS_FORMAT = "morphspace-loadings"
@@ -108,15 +111,18 @@ def read_loadings_table(path: str | Path) -> LoadingsTable:
         If an entry is wrong; the message names its row and column.
     """
     path = _csv_path(path)
-    headings, rows = _read_csv(path)
-    components = _check_headings(path, headings)
-    names = [row[0] for row in rows]
+    table = read_table(path)
+    components = _check_headings(path, table.headings)
+    names = [unicodedata.normalize("NFC", row[0]) for row in table.rows]
     _check_names(path, names)
     values = [
-        [_number(path, line, heading, cell) for heading, cell in zip(headings[1:], row[1:], strict=True)]
-        for line, row in enumerate(rows, start=2)
+        [
+            _number(path, line, heading, cell)
+            for heading, cell in zip(table.headings[1:], row[1:], strict=True)
+        ]
+        for line, row in zip(table.lines, table.rows, strict=True)
     ]
-    loadings = np.array(values, np.float64).reshape(len(rows), components)
+    loadings = np.array(values, np.float64).reshape(len(names), components)
     loadings.setflags(write=False)
     beside = path.with_suffix(".json")
     document = read_json_object(beside) if beside.exists() else None
@@ -163,18 +169,26 @@ def read_metrics_table(path: str | Path) -> dict[str, list[str] | list[float]]:
     columns frame, clip, identity and name are always texts. Raises `UnreadableFile` and `BadInput`.
     """
     path = _csv_path(path)
-    headings, rows = _read_csv(path)
-    if len(set(headings)) < len(headings):
-        raise BadInput(
-            f"{path}: the columns are {', '.join(headings)}; expected unique names. Rename the repeated one"
-        )
-    table: dict[str, list[str] | list[float]] = {}
-    for place, heading in enumerate(headings):
-        cells = [row[place] for row in rows]
-        numbers = [_float_or_none(cell or "nan") for cell in cells]
-        has_numbers = heading not in TEXT_COLUMNS and any(cells) and None not in numbers
-        table[heading] = [number for number in numbers if number is not None] if has_numbers else cells
-    return table
+    table = read_table(path)
+    return {heading: _column(table, place) for place, heading in enumerate(table.headings)}
+
+
+def _column(table: Table, place: int) -> list[str] | list[float]:
+    """Return a column as numbers if all its cells are, else as texts. Refuse numbers that a spreadsheet changed."""
+    cells = [row[place] for row in table.rows]
+    numbers = [_float_or_none(cell or "nan") for cell in cells]
+    if table.headings[place] in TEXT_COLUMNS or not any(cells):
+        return cells
+    if None not in numbers:
+        return [number for number in numbers if number is not None]
+    others = [row for row, number in enumerate(numbers) if number is None]
+    is_comma = [COMMA_NUMBER.fullmatch(cells[row].strip()) is not None for row in others]
+    is_date = [DATE.fullmatch(cells[row].strip()) is not None for row in others]
+    has_numbers = any(cell and number is not None for cell, number in zip(cells, numbers, strict=True))
+    if all(map(any, zip(is_comma, is_date, strict=True))) and (any(is_comma) or has_numbers):
+        first = others[0]
+        _number(table.path, table.lines[first], table.headings[place], cells[first])
+    return cells
 
 
 def _heading(component: int) -> str:
@@ -196,28 +210,6 @@ def _csv_text(headings: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
     return text.getvalue()
 
 
-def _read_csv(path: Path) -> tuple[list[str], list[list[str]]]:
-    """Return the headings and the rows, all of one length. A byte order mark is skipped."""
-    try:
-        with path.open(encoding="utf-8-sig", newline="") as file:
-            lines = [row for row in csv.reader(file, strict=True) if row]
-    except OSError as error:
-        raise UnreadableFile(
-            f"cannot read {path}: {error.strerror}. Check the name and the permissions"
-        ) from error
-    except (UnicodeDecodeError, csv.Error) as error:
-        raise UnreadableFile(f"{path} is not a CSV text in UTF-8: {error}. Export it again") from error
-    if not lines:
-        raise UnreadableFile(f"{path} is empty; expected a first row of column names. Export it again")
-    headings, *rows = lines
-    for line, row in enumerate(rows, start=2):
-        if len(row) != len(headings):
-            raise BadInput(
-                f"{path}: row {line} has {len(row)} cells; expected {len(headings)} as in the first row. Correct it"
-            )
-    return headings, rows
-
-
 def _check_headings(path: Path, headings: Sequence[str]) -> int:
     """Return the number of components. Check that the columns are the frame, then pc001_sd and on without gap."""
     if headings[0] != FRAME_COLUMN:
@@ -231,8 +223,6 @@ def _check_headings(path: Path, headings: Sequence[str]) -> int:
             raise BadInput(
                 f"{path}: column {heading!r} is not a loading in SD; expected {_heading(place)!r}. Rename it"
             )
-        if heading in headings[1 : place + 1]:
-            raise BadInput(f"{path}: column {heading} is repeated; expected unique names. Remove one")
         if heading != _heading(place):
             raise BadInput(
                 f"{path}: column {place + 2} is {heading}; expected {_heading(place)}. Include all components in order"
@@ -264,7 +254,9 @@ def _check_document(path: Path, beside: Path, document: Mapping[str, Any], shape
 def _number(path: Path, line: int, heading: str, cell: str) -> float:
     value = _float_or_none(cell)
     if value is None or not np.isfinite(value):
-        raise BadInput(f"{path}: row {line}, column {heading} is {cell!r}; expected a number. Correct it")
+        raise BadInput(
+            f"{path} line {line}, column {heading} is {cell!r}; expected a number. {number_remedy(cell)}"
+        )
     return value
 
 

@@ -5,7 +5,6 @@ Every sidecar entry is compared with the value it would have if written now; bot
 
 from __future__ import annotations
 
-import csv
 import json
 import math
 import tempfile
@@ -20,6 +19,7 @@ from morphspace.arrays import AnyArray, Image, Mask
 from morphspace.errors import BadInput, UnreadableFile
 from morphspace.io.images import read_image, read_mask
 from morphspace.io.stimulus_sidecars import essentials, essentials_in, read_stimulus_sidecar, sidecar_text
+from morphspace.io.texts import read_table
 from morphspace.model.model import MorphModel, load_model
 from morphspace.outcome import versions
 from morphspace.requests import VIDEO_SUFFIXES
@@ -382,10 +382,11 @@ def _row(sidecar: Path, name: str) -> dict[str, str]:
     if folder / f"{name}.json" != sidecar or not path.is_file():
         return {}
     try:
-        with path.open(encoding="utf-8", newline="") as file:
-            return next((row for row in csv.DictReader(file) if row.get("name") == name), {})
-    except (OSError, ValueError, csv.Error):
+        table = read_table(path)
+    except BadInput:
         return {}
+    rows = (dict(zip(table.headings, row, strict=True)) for row in table.rows)
+    return next((row for row in rows if row.get("name") == name), {})
 
 
 def _same(value: Any, cell: str | None) -> bool:

@@ -16,7 +16,7 @@ from morphspace.io.recipe_text import read_yaml
 from morphspace.io.recipes import KEYS, read_recipe
 from morphspace.requests import recipe_verbs, settings_of
 from morphspace.sets.manifest import FIRST_COLUMNS, LAST_COLUMNS, TOLD_COLUMNS
-from morphspace.settings import WrongSetting, converted
+from morphspace.settings import WrongSetting, check_decimal_points, converted
 from morphspace.steps import result_of
 from morphspace.verbs import sample
 from morphspace.verbs.sample import SampleRequest
@@ -94,6 +94,7 @@ def test_schema_and_code_take_and_refuse_the_same_values(verb):
         schema = {"$defs": recipe_schema()["$defs"], **setting_schema(field)}
         for value in SAMPLES:
             try:
+                check_decimal_points(field, value)
                 converted(field, value)
                 taken = True
             except WrongSetting:

@@ -157,6 +157,32 @@ def test_columns_choose_and_bad_words_get_one_line(demo, sets, capsys):
         assert captured.err.count("\n") == 1 and captured.out == ""
 
 
+@pytest.mark.parametrize(
+    ("old", "new", "said"),
+    [
+        (",", ";", "line 1 has semicolons"),
+        ("name,", "sep=,\nname,", "'sep=,'"),
+        ("frame_rate_hz", "rate", "no column 'frame_rate_hz'"),
+        (",20.0,", ",20. Jan,", "line 2: frame_rate_hz is '20. Jan': A spreadsheet made a date of it"),
+    ],
+)
+def test_a_manifest_that_a_spreadsheet_saved_gets_one_line(demo, sets, tmp_path, capsys, old, new, said):
+    text = (sets / "video" / "manifest.csv").read_text()
+    assert old in text
+    saved = text.replace(old, new).replace("\n", "\r\n")
+    (tmp_path / "manifest.csv").write_bytes(saved.encode("utf-8-sig"))
+    assert demo.main([str(tmp_path), "--check"]) == 2
+    error = capsys.readouterr().err
+    assert error.count("\n") == 1 and said in error
+
+
+def test_line_ends_and_empty_rows_of_a_spreadsheet_do_not_matter(demo, sets, tmp_path):
+    text = (sets / "video" / "manifest.csv").read_text()
+    saved = text.replace("\n", "\r\n") + "," * text.split("\n")[0].count(",") + "\r\n"
+    (tmp_path / "manifest.csv").write_bytes(saved.encode("utf-8-sig"))
+    assert demo.read_manifest(tmp_path) == demo.read_manifest(sets / "video")
+
+
 def test_without_psychopy_it_says_so(demo, sets, capsys, monkeypatch):
     monkeypatch.setitem(sys.modules, "psychopy", None)
     assert demo.main([str(sets / "video")]) == 2

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import itertools
+from pathlib import Path
 
 import pytest
 from hypothesis import given
@@ -164,6 +165,16 @@ def test_a_small_file_cannot_become_a_large_one(tmp_path):
         read_yaml(path)
 
 
+def test_a_recipe_beyond_the_limit_is_refused_before_it_is_read(tmp_path, monkeypatch):
+    path = tmp_path / "a.yaml"
+    path.write_text("".join(f"k{number}: 1\n" for number in range(250_000)))
+    monkeypatch.setattr(Path, "read_bytes", None)
+    with pytest.raises(
+        BadInput, match=r"a\.yaml has \d+ bytes; expected at most 2000000\. .*LARGEST_RECIPE_BYTES="
+    ):
+        read_yaml(path)
+
+
 def test_files_that_are_no_texts_are_refused(tmp_path):
     for name, data in (("a.yaml", b"\xff\xfe\x00"), ("b.csv", b"a,b\n\x00,1\n"), ("c.yaml", b"a: \x07")):
         (tmp_path / name).write_bytes(data)
@@ -252,6 +263,7 @@ def test_a_table_has_a_job_a_row_and_conditions_for_the_manifest(tmp_path):
         ("verb,verb\ncaricature,a\n", ("line 1", "'verb'")),
         ("verb,\ncaricature,a\n", ("line 1", "column 2")),
         ("verb;model\ncaricature;a\n", ("line 1", "semicolons")),
+        ("sep=,\nverb,model\ncaricature,a\n", ("line 1", "'sep=,'", "Delete")),
         ("verb,model\n", ("no rows",)),
         ("verb,model\ncaricature,{x}.morph\n", ("line 2", "model")),
         ('verb,model\ncaricature,"a\n', ("CSV",)),

@@ -1,6 +1,8 @@
 """Laws of tables: numbers come back bit for bit, and what is wrong is named by row and column."""
 
+import contextlib
 import json
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -74,16 +76,26 @@ def test_a_table_without_a_document_reads(tmp_path):
         ("frame\na\n", "no component column"),
         ("frame,pc001_sd,pc003_sd\na,1,2\n", "pc003_sd; expected pc002_sd"),
         ("frame,pc002_sd\na,1\n", "pc002_sd; expected pc001_sd"),
-        ("frame,pc001_sd,pc001_sd\na,1,2\n", "pc001_sd is repeated"),
+        ("frame,pc001_sd,pc001_sd\na,1,2\n", "line 1: column 'pc001_sd' is repeated"),
         ("frame,pc001\na,1\n", "'pc001' is not a loading in SD"),
         ("frame,pc001_sd,mood\na,1,2\n", "'mood' is not a loading in SD"),
-        ("frame,pc001_sd\na,1\nb,x\n", "row 3, column pc001_sd is 'x'"),
-        ("frame,pc001_sd\na,\n", "row 2, column pc001_sd is ''"),
-        ("frame,pc001_sd\na,nan\n", "row 2, column pc001_sd is 'nan'"),
-        ('frame,pc001_sd\na,"1,5"\n', "row 2, column pc001_sd is '1,5'"),
-        ("frame,pc001_sd\na,1,2\n", "row 2 has 3 cells; expected 2"),
+        ("frame,pc001_sd\na,1\nb,x\n", "line 3, column pc001_sd is 'x'"),
+        ("frame,pc001_sd\na,1\n\n,\nb,x\n", "line 5, column pc001_sd is 'x'"),
+        ("frame,pc001_sd\na,\n", "line 2, column pc001_sd is ''"),
+        ("frame,pc001_sd\na,nan\n", "line 2, column pc001_sd is 'nan'"),
+        ('frame,pc001_sd\na,"1,5"\n', "line 2, column pc001_sd is '1,5'; .* decimal point"),
+        ("frame,pc001_sd\na,01. Mai\n", "line 2, column pc001_sd is '01. Mai'; .* made a date of it"),
+        ("frame,pc001_sd\na,2026-05-01 00:00:00\n", "made a date of it"),
+        ("frame,pc001_sd\na,1,2\n", "line 2 has 3 cells; expected 2"),
+        ("frame,pc001_sd,pc002_sd\na,1\n", "line 2 has 2 cells; expected 3"),
+        ("frame,pc001_sd,\na,1,2\n", "line 1: column 3 has no name"),
         ("frame,pc001_sd\na,1\na,2\n", "frame 'a' is repeated"),
-        ("frame;pc001_sd\na;1\n", "first column is 'frame;pc001_sd'"),
+        ("frame,pc001_sd\na\u0301,1\n\u00e1,2\n", "frame '\u00e1' is repeated"),
+        ("frame;pc001_sd\r\na;0,5\r\n", "line 1 has semicolons between the columns; expected commas"),
+        ("\ufeffframe;pc001_sd\r\na;0,5\r\n", "line 1 has semicolons"),
+        ("frame\tpc001_sd\na\t1\n", "line 1 has tabs between the columns"),
+        ("\ufeffsep=,\r\nframe,pc001_sd\r\na,1\r\n", "line 1 is 'sep=,'.* Delete this line"),
+        ("sep=;\nframe;pc001_sd\na;1\n", "line 1 is 'sep=;'"),
     ],
 )
 def test_what_is_wrong_in_a_table_is_named(tmp_path, text, words):
@@ -101,6 +113,63 @@ def test_what_is_no_table_is_refused(tmp_path, content):
             read(tmp_path / "t.csv")
         with pytest.raises(UnreadableFile, match="No such file"):
             read(tmp_path / "gone.csv")
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "frame,pc001_sd,pc002_sd\na,0.5,-1.25\nb,1.5,0\n",
+        "\ufeffframe,pc001_sd,pc002_sd\r\na,0.5,-1.25\r\nb,1.5,0\r\n",
+        "frame,pc001_sd,pc002_sd\ra,0.5,-1.25\rb,1.5,0\r",
+        "frame,pc001_sd,pc002_sd\na,0.5,-1.25\n,,\n\n , ,\nb,1.5,0\n,,\n,,",
+        "frame,pc001_sd,pc002_sd,,\na,0.5,-1.25,,\nb,1.5,0,,\n,,,,\n",
+        "frame,,pc001_sd,pc002_sd\na,,0.5,-1.25\nb,,1.5,0\n",
+        "frame,pc001_sd,pc002_sd\na,0.5,-1.25,,\nb,1.5,0\n",
+        " frame ,pc001_sd, pc002_sd\na, 0.5,-1.25 \nb,1.5,0\n",
+        '"frame","pc001_sd","pc002_sd"\n"a","0.5","-1.25"\n"b","1.5","0"\n',
+    ],
+)
+def test_a_table_that_a_spreadsheet_saved_is_the_same_table(tmp_path, text):
+    (tmp_path / "t.csv").write_bytes(text.encode())
+    table = read_loadings_table(tmp_path / "t.csv")
+    assert table.frame_names == ("a", "b")
+    assert table.loadings_sd.tolist() == [[0.5, -1.25], [1.5, 0.0]]
+    measures = read_metrics_table(tmp_path / "t.csv")
+    assert measures == {"frame": ["a", "b"], "pc001_sd": [0.5, 1.5], "pc002_sd": [-1.25, 0.0]}
+
+
+@pytest.mark.parametrize("changed", ['"0,5"', "01. Mai", "Mai 05", "2026-05-01"])
+def test_a_number_that_a_spreadsheet_changed_does_not_make_its_column_texts(tmp_path, changed):
+    (tmp_path / "m.csv").write_text(f"frame,distance_px\na,1.5\nb,{changed}\n")
+    with pytest.raises(BadInput, match=r"m\.csv line 3, column distance_px is .* expected a number"):
+        read_metrics_table(tmp_path / "m.csv")
+
+
+def test_columns_of_texts_may_look_like_dates_or_numbers_with_commas(tmp_path):
+    (tmp_path / "m.csv").write_text('frame,day,note\n"1,5",2026-05-01,x\n0001,2026-05-02,"1,5"\n')
+    table = read_metrics_table(tmp_path / "m.csv")
+    assert table == {"frame": ["1,5", "0001"], "day": ["2026-05-01", "2026-05-02"], "note": ["x", "1,5"]}
+
+
+@settings(max_examples=200, deadline=None)
+@given(content=st.binary(max_size=60) | st.text('frame,;\t"\n\r01.-=\ufeff', max_size=60).map(str.encode))
+def test_any_bytes_are_a_table_or_refused(tmp_path_factory, content):
+    path = tmp_path_factory.mktemp("any") / "t.csv"
+    path.write_bytes(content)
+    for read in (read_loadings_table, read_metrics_table):
+        with contextlib.suppress(BadInput):
+            read(path)
+
+
+def test_a_table_beyond_the_limit_is_refused_before_it_is_read(tmp_path, monkeypatch):
+    write_loadings_table(tmp_path / "t.csv", np.zeros((9, 9)), list("abcdefghi"), {})
+    monkeypatch.setenv("MORPHSPACE_LARGEST_TABLE_BYTES", "100")
+    monkeypatch.setattr(Path, "read_bytes", None)
+    with pytest.raises(BadInput, match=r"t\.csv has \d+ bytes; expected at most 100.*LARGEST_TABLE_BYTES="):
+        read_loadings_table(tmp_path / "t.csv")
+    monkeypatch.setenv("MORPHSPACE_LARGEST_TABLE_BYTES", "many")
+    with pytest.raises(BadInput, match="MORPHSPACE_LARGEST_TABLE_BYTES is 'many'; expected a whole number"):
+        read_loadings_table(tmp_path / "t.csv")
 
 
 def test_a_document_of_another_table_is_refused(tmp_path):

@@ -81,7 +81,13 @@ def test_python_the_command_line_and_a_recipe_take_and_refuse_alike(setting, wor
     output = {"output": given["output"]} if "output" in given else {}
     python = outcome_of(lambda: verb.request(**given))
     assert outcome_of(lambda: on_the_command_line(verb.request, field.name, value)) == python
-    assert outcome_of(lambda: request_from(verb.request, written, **output)) == python
+    recipe = outcome_of(lambda: request_from(verb.request, written, **output))
+    if (
+        isinstance(recipe, str) and "Replace the commas" in recipe
+    ):  # 1,5 in a spreadsheet's cell is one number
+        assert "," in word and field.values[-1] is Ellipsis
+    else:
+        assert recipe == python
 
 
 @pytest.mark.parametrize("verb", VERBS, ids=lambda verb: verb.name)

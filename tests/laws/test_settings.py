@@ -131,3 +131,14 @@ def test_a_recipe_says_none_and_must_say_what_is_required():
     assert DrawRequest("a", "out", region="none").region == "none"  # in Python it is a text
     with pytest.raises(WrongSetting, match="model is missing; expected a path"):
         request_from(DrawRequest, {}, output=Path("out"))
+
+
+@pytest.mark.parametrize("written", ["1,5", "0.5,1", "1,5;2", " 1 , 5 "])
+def test_a_comma_between_numbers_is_refused_in_a_recipe(written):
+    given = {"model": "a", "gains": written}
+    with pytest.raises(
+        WrongSetting, match="gains is '.*'; expected decimal points, and semicolons between"
+    ) as caught:
+        request_from(DrawRequest, given, output=Path("out"))
+    assert caught.value.name == "gains"
+    assert request_from(DrawRequest, {"model": "a", "gains": "1.5;2"}, output=Path("out")).gains == (1.5, 2.0)

@@ -645,7 +645,7 @@ def bad(work, model, what):
         ),
         "mask of another size": ((good, good), {"mask": work / "small.png"}, "small.png is 12x10, .* 60x72"),
         "mask and region": ((good, good), {"mask": work / "small.png", "region": "eyes"}, "Give one"),
-        "nan": ((good, str(work / "nan.csv")), {}, "row 3, column pc001_sd is 'nan'"),
+        "nan": ((good, str(work / "nan.csv")), {}, "line 3, column pc001_sd is 'nan'"),
         "no mask": ((good, good), {"mask": work / "none.png"}, r"none\.png"),
     }[what]
 
