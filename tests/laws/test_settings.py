@@ -137,7 +137,7 @@ def test_a_recipe_says_none_and_must_say_what_is_required():
 def test_a_comma_between_numbers_is_refused_in_a_recipe(written):
     given = {"model": "a", "gains": written}
     with pytest.raises(
-        WrongSetting, match="gains is '.*'; expected decimal points, and semicolons between"
+        WrongSetting, match=r"gains is '.*'; expected decimal points, and semicolons between"
     ) as caught:
         request_from(DrawRequest, given, output=Path("out"))
     assert caught.value.name == "gains"
