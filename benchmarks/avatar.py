@@ -12,6 +12,7 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -29,7 +30,9 @@ from morphspace.grid.warp import apply_affine
 from morphspace.io.images import write_image
 from morphspace.linear.quality import psnr_db
 from morphspace.model.model import MorphModel
+from morphspace.requests import settings_in
 from morphspace.steps import result_of, spread
+from morphspace.verbs.blend_avatar import BlendAvatarRequest
 
 GROUPS = (("lp_d18", "lp_d13", "lp_d0", "lp_d9"), ("lp_d18", "lp_d13", "lp_d6", "lp_d9"))
 JUDGED = 24  # expressions of each identity, evenly spread
@@ -69,11 +72,18 @@ def avatar(data: Path, work: Path, judge: str) -> None:
     for group in GROUPS:
         models = [keyed_model(data, name, work) for name in group]
         started = time.perf_counter()
-        blend = _blend(models, AvatarSettings(detector=load_detector()), work / "avatar" / "-".join(group))
+        blend = _blend(
+            models, replace(settings_of(), detector=load_detector()), work / "avatar" / "-".join(group)
+        )
         tell(
             f"avatar: {', '.join(group)} took {time.perf_counter() - started:.0f} s (less where it was kept)"
         )
         _print_group(blend, models, group, work / "avatar" / ("-".join(group) + "-judged"), judge)
+
+
+def settings_of(**changes: Any) -> AvatarSettings:
+    """Give the settings of a blend as the verb has them, but for some."""
+    return settings_in(BlendAvatarRequest(("a", "b"), Path("avatar.morph"), **changes), AvatarSettings)
 
 
 def avatar_laws(data: Path, work: Path) -> None:
@@ -84,7 +94,7 @@ def avatar_laws(data: Path, work: Path) -> None:
         "against the other (order).\n"
     )
     one, other = (keyed_model(data, name, work) for name in ("lp_d18", "lp_d13"))
-    settings = AvatarSettings(expressions=LAW_EXPRESSIONS, flow="fast", sharpen=0.0)
+    settings = settings_of(expressions=LAW_EXPRESSIONS, flow="fast", sharpen=0.0)
     folder = work / "avatar-laws"
     rows = []
     for name, models, weights in (("itself", [one, one], None), ("weight 1, 0", [one, other], (1.0, 0.0))):
@@ -122,7 +132,7 @@ def avatar_cost(data: Path, work: Path) -> None:
         shutil.rmtree(folder, ignore_errors=True)
         tell(f"avatar-cost: {count} identities, {expressions} expressions each")
         wall, processor = time.perf_counter(), time.process_time()
-        made = _blend(models[:count], AvatarSettings(expressions=expressions, flow="fast"), folder)
+        made = _blend(models[:count], settings_of(expressions=expressions, flow="fast"), folder)
         wall, processor = time.perf_counter() - wall, time.process_time() - processor
         versions = len(made.expressions) * count
         per_version.append(processor / versions)

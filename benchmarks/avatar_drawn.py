@@ -8,10 +8,11 @@ from pathlib import Path
 
 import cv2
 import numpy as np
+from avatar import settings_of
 from tables import at_most, print_table, tell
 
 from morphspace.arrays import AnyArray, Displacement, Image, Mask, Points
-from morphspace.avatar import Avatar, AvatarSettings, blend_steps
+from morphspace.avatar import Avatar, blend_steps
 from morphspace.face.faceframe import FaceFrame
 from morphspace.face.regions import face_mask
 from morphspace.face.registration import fitted_similarity
@@ -77,7 +78,7 @@ def avatar_drawn(work: Path) -> None:
     rows, places = [], []
     for share in SHARES:
         tell(f"avatar-drawn: weights {share:g}, {1 - share:.1f}")
-        settings = AvatarSettings(weights=(share, 1 - share), expressions=EXPRESSIONS, flow="fast")
+        settings = settings_of(weights=(share, 1 - share), expressions=EXPRESSIONS, flow="fast")
         blend = result_of(blend_steps(models, settings, folder / f"blend_{share:g}"))
         shown = _shown(blend, performances)
         truth = Truth(people, share)

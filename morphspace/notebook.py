@@ -6,16 +6,21 @@ result is a `MorphModel`, `Loadings`, or `Faces`, and a notebook draws it where 
 
 from __future__ import annotations
 
+import functools
+import inspect
 import tempfile
+import textwrap
 from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import Executor
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
-from morphspace.arrays import Image, LoadingTable
-from morphspace.avatar import AvatarSettings, blend_steps
+from morphspace.arrays import Image, LoadingTable, LoadingVector
+from morphspace.avatar import blend_steps
 from morphspace.avatar.pair import pair_model
 from morphspace.errors import BadInput
 from morphspace.flow.methods import DEFAULT
@@ -27,18 +32,27 @@ from morphspace.model.from_clip import ClipSettings, build_clip
 from morphspace.model.loadings import Loadings
 from morphspace.model.model import MorphModel, load_model
 from morphspace.outcome import versions as package_versions
-from morphspace.sets.continuum import continuum_drawings
-from morphspace.steps import Step, Steps, result_of
-from morphspace.stimuli.caricature import caricature_drawing, caricature_region, components_named
-from morphspace.stimuli.continuum import Line, Spacing, spaced_positions
+from morphspace.requests import Workers, field_named, settings_in
+from morphspace.sets.continuum import continuum_drawings, spaced_series
+from morphspace.sets.mimicry import MimicSettings, drive_of
+from morphspace.settings import converted, field_of
+from morphspace.steps import Step, Steps, in_order, result_of, using_workers
+from morphspace.stimuli.continuum import Line, even_positions, given_positions
 from morphspace.stimuli.drawing import Drawing, check_name
 from morphspace.stimuli.drawn import draw
 from morphspace.stimuli.operations import Motion, operations_of, worked
-from morphspace.transfer.mimicry import MAX_SD, Method, Mimicry, auto_gain
-from morphspace.transfer.mimicry import mimic as prepare_mimicry
-from morphspace.transfer.neutral import neutral_of
+from morphspace.transfer.driver import UsedModel
+from morphspace.verbs.blend_avatar import BlendAvatarRequest, blend_settings
+from morphspace.verbs.build_model import BuildModelRequest
+from morphspace.verbs.caricature import CaricatureRequest, change_of
+from morphspace.verbs.continuum import ContinuumRequest
+from morphspace.verbs.encode import EncodeRequest
+from morphspace.verbs.mimic import MimicRequest
+from morphspace.verbs.sweep import SweepRequest
+from morphspace.verbs.trajectory import TrajectoryRequest
 
 SHEET_FACES = 12  # of a sequence on a card; a notebook is to stay small
+Result = TypeVar("Result")
 FRAME_RATE_HZ = 25.0  # of a motion whose model does not state its rate
 
 
@@ -104,8 +118,56 @@ class Faces(Sequence[Image]):
         )
 
 
+NOT_WRITTEN = Path("notebook")  # stands for the files that a verb reads or writes, in a request without any
+
+
+def _with_settings(request: type, *names: str) -> Callable[[Callable[..., Result]], Callable[..., Result]]:
+    """Give a function some settings of a verb's request as keywords, with their defaults and their help.
+
+    The function takes them as `**settings`. A line `settings` of its docstring becomes one entry for each.
+    """
+    fields = [field_named(request, name) for name in names]
+
+    def decorated(function: Callable[..., Result]) -> Callable[..., Result]:
+        own = inspect.signature(function)
+        *before, last = own.parameters.values()
+        keywords = [
+            inspect.Parameter(
+                one.name,
+                inspect.Parameter.KEYWORD_ONLY,
+                default=inspect.Parameter.empty if one.required else one.default,
+                annotation=one.kind,
+            )
+            for one in fields
+        ]
+        entries = "".join(
+            f"    {one.name}\n{textwrap.indent(textwrap.fill(one.help, 108), ' ' * 8)}\n" for one in fields
+        )
+        documented = (function.__doc__ or "").replace(f"    {last.name}\n", entries)
+
+        @functools.wraps(function)
+        def checked(*given: Any, **settings: Any) -> Result:
+            for name in settings:
+                if name not in names and name not in own.parameters:
+                    raise BadInput(
+                        f"{name} is no setting of {function.__name__}; expected one of {', '.join(names)}"
+                    )
+            return function(*given, **settings)
+
+        checked.__doc__ = documented
+        checked.__signature__ = own.replace(parameters=[*before, *keywords])  # type: ignore[attr-defined]
+        return checked
+
+    return decorated
+
+
+@_with_settings(
+    BuildModelRequest,
+    *("components", "size", "crop", "landmarks", "mask", "reference", "registration"),
+    *("flow", "start", "warp_weight", "work_folder", "identity"),
+)
 def build(
-    *sources: str | Path, work_folder: Path | None = None, progress: bool = False, **settings: Any
+    *sources: str | Path, workers: int | Executor | None = None, progress: bool = False, **settings: Any
 ) -> MorphModel:
     """Build a model of one person from a folder, a quoted glob, a video, or image files (Nagle section 2).
 
@@ -113,12 +175,11 @@ def build(
     ----------
     sources
         What shows the person.
-    work_folder
-        The folder in which finished frames are kept, so that another build can reuse them; temporary if None.
+    workers
+        How many frames to process in parallel, or the executor that does; None for one per core.
     progress
         Draw a progress bar.
     settings
-        The fields of `ClipSettings`, such as `components`, `size` (w, h) px, `crop` or `reference`.
 
     Returns
     -------
@@ -129,11 +190,10 @@ def build(
     BadInput
         If the clip cannot be read, has fewer than three frames, or a setting cannot be used.
     """
-    asked, clip = ClipSettings(**settings), open_clip(tuple(map(str, sources)))
-    if work_folder is not None:
-        return _run(build_clip(clip, asked, Path(work_folder)), progress)[0].model
-    with tempfile.TemporaryDirectory(prefix="morphspace-") as folder:
-        return _run(build_clip(clip, asked, Path(folder)), progress)[0].model
+    request = BuildModelRequest(sources=tuple(map(str, sources)), **settings)
+    clip, asked = open_clip(request.sources), settings_in(request, ClipSettings)
+    with _work_folder(request.work_folder) as folder:
+        return _run(build_clip(clip, asked, Path(folder)), progress, workers)[0].model
 
 
 def load(path: Path | str) -> MorphModel:
@@ -141,17 +201,21 @@ def load(path: Path | str) -> MorphModel:
 
     Raises
     ------
+    BadInput
+        If there is no such file.
     ModelFileError
         If the file is cut short, of another version, or its parts do not fit each other.
     """
-    return load_model(path)
+    return load_model(converted(field_named(EncodeRequest, "model"), path))
 
 
+@_with_settings(EncodeRequest, "crop")
 def encode(
     model: MorphModel,
     *sources: str | Path,
-    crop: tuple[int, int, int, int] | None = None,
+    workers: int | Executor | None = None,
     progress: bool = False,
+    **settings: Any,
 ) -> Loadings:
     """Encode images of the model's person as loadings, one row a frame (Nagle section 3, step 1).
 
@@ -160,17 +224,22 @@ def encode(
     model
     sources
         A folder, a quoted glob, a video, or image files.
-    crop
-        A box (x, y, w, h) px of every frame; None for the whole, or for the model's own crop where the size agrees.
+    workers
+        How many frames to process in parallel, or the executor that does; None for one per core.
     progress
         Draw a progress bar.
+    settings
 
     Raises
     ------
     BadInput
         If the images cannot be read or are too small to read a face from.
     """
-    source = framed_for(model, tuple(map(str, sources)), crop)
+    _check_models(model=model)
+    request = EncodeRequest(
+        model=NOT_WRITTEN, sources=tuple(map(str, sources)), output=NOT_WRITTEN, **settings
+    )
+    source = framed_for(model, request.sources, request.crop)
 
     def steps() -> Steps[Loadings]:
         parts = []
@@ -179,17 +248,18 @@ def encode(
             yield Step("encode", len(parts), len(source.names))
         return joined(model, parts)
 
-    return _run(steps(), progress)
+    return _run(steps(), progress, workers)
 
 
+@_with_settings(MimicRequest, "method", "gain", "max_sd", "components", "neutral")
 def mimic(
     source: MorphModel,
     target: MorphModel,
     faces: Loadings | None = None,
     *,
-    method: Method | None = None,
-    gain: float | None = None,
-    max_sd: float = MAX_SD,
+    workers: int | Executor | None = None,
+    progress: bool = False,
+    **settings: Any,
 ) -> Faces:
     """Make one person's model show the expressions of another's (Nagle section 3).
 
@@ -199,19 +269,16 @@ def mimic(
         The model that drives and the model that is driven; both need keypoints.
     faces
         Loadings on the source; None for the faces it was built from.
-    method
-        `paper`, `map`, `transfer` or `guided`; None for `guided` where both models know their landmarks, else
-        `transfer`.
-    gain
-        Factor on the loadings; None for the gain at which the target moves as far as the source (`guided`,
-        `transfer`), and 1 for the others.
-    max_sd
-        The bound of each loading, SD of its component.
+    workers
+        How many faces to make in parallel, or the executor that does; None for one per core.
+    progress
+        Draw a progress bar.
+    settings
 
     Returns
     -------
     Faces
-        The target's faces, one for each row.
+        The target's faces, one for each row. They are drawn at once and stay in memory.
 
     Raises
     ------
@@ -220,29 +287,41 @@ def mimic(
     ReferenceMismatch
         If the loadings belong to another model than the source.
     """
-    rows = (source.training if faces is None else faces).in_raw(source)
-    both = source.landmarks is not None and target.landmarks is not None
-    chosen: Method = method or ("guided" if both else "transfer")
-    neutral = neutral_of(source, target)
-    if gain is None:
-        gain = auto_gain(source, target, chosen, neutral=neutral) if chosen in ("guided", "transfer") else 1.0
-    show = prepare_mimicry(source, target, chosen, gain=gain, max_sd=max_sd, neutral=neutral)
+    _check_models(source=source, target=target)
+    rows = source.training if faces is None else faces
+    _check_loadings(faces=rows)
+    request = MimicRequest(source=source.identity, target=target.identity, output=NOT_WRITTEN, **settings)
+    rows = rows.in_raw(source)
+    used = [UsedModel(one, Path(f"{one.identity}.morph"), one.model_id) for one in (source, target)]
+    drive = drive_of(used[0], used[1], settings_in(request, MimicSettings))
 
-    def made(place: int) -> Mimicry:
+    def made(row: LoadingVector) -> tuple[LoadingVector, Image]:
         padded = np.zeros(source.rank)
-        padded[: rows.values.shape[1]] = rows.values[place]
-        return show(source.offset(padded), padded)
+        padded[: len(row)] = row
+        face = drive.make(source.offset(padded), padded)
+        return face.loadings, face.morph.render()
 
-    loadings = Loadings(
-        np.stack([made(place).loadings for place in range(len(rows.frame_names))]),
-        rows.frame_names,
-        target.model_id,
-    )
-    return Faces(rows.frame_names, loadings, lambda place: made(place).morph.render())
+    def steps() -> Steps[list[tuple[LoadingVector, Image]]]:
+        made(np.zeros(0))  # caches are filled here once, not in each thread
+        found = []
+        for one in in_order(made, rows.values):
+            found.append(one)
+            yield Step("mimic", len(found), len(rows))
+        return found
+
+    found = _run(steps(), progress, workers)
+    values = np.array([loadings for loadings, _ in found]).reshape(len(rows), drive.target.rank)
+    loadings = Loadings(values, rows.frame_names, target.model_id)
+    return Faces(rows.frame_names, loadings, lambda place: found[place][1])
 
 
+@_with_settings(
+    BlendAvatarRequest,
+    *("weights", "faceframe", "reference", "expressions", "method", "max_sd", "sharpen", "surround"),
+    *("correspondence", "flow", "components", "clips", "landmarks", "identity", "work_folder"),
+)
 def blend(
-    *models: MorphModel, progress: bool = False, work_folder: Path | None = None, **settings: Any
+    *models: MorphModel, workers: int | Executor | None = None, progress: bool = False, **settings: Any
 ) -> MorphModel:
     """Blend several people into one model that shows nobody (Nagle section 4).
 
@@ -250,35 +329,27 @@ def blend(
     ----------
     models
         At least two, of one size, with keypoints.
+    workers
+        How many faces to blend in parallel, or the executor that does; None for one per core.
     progress
         Draw a progress bar.
-    work_folder
-        The folder in which finished expressions are kept; temporary if None.
     settings
-        The fields of `AvatarSettings`, such as `weights`, `expressions` or `surround`.
 
     Raises
     ------
     BadInput
         If the models cannot be blended, or a setting does not fit them.
     """
-    settings = {"provenance": {"versions": package_versions()}, **settings}
-    if work_folder is not None:
-        return _run(blend_steps(models, AvatarSettings(**settings), Path(work_folder)), progress).model
-    with tempfile.TemporaryDirectory(prefix="morphspace-") as folder:
-        return _run(blend_steps(models, AvatarSettings(**settings), Path(folder)), progress).model
+    _check_models(**{f"model {place}": model for place, model in enumerate(models, 1)})
+    names = tuple(model.identity for model in models)
+    request = BlendAvatarRequest(models=names, output=NOT_WRITTEN, **settings)
+    asked, _ = blend_settings(request, models)
+    with _work_folder(request.work_folder) as folder:
+        return _run(blend_steps(models, asked, Path(folder)), progress, workers).model
 
 
-def caricature(
-    model: MorphModel,
-    faces: Loadings,
-    gains: Sequence[float] = (0.5, 1.0, 1.5, -1.0),
-    *,
-    warp_gain: float | None = None,
-    texture_gain: float | None = None,
-    components: str | None = None,
-    region: str | None = None,
-) -> Faces:
+@_with_settings(CaricatureRequest, "gains", "warp_gains", "texture_gains", "components", "region")
+def caricature(model: MorphModel, faces: Loadings, **settings: Any) -> Faces:
     """Draw faces at each gain: 1 is veridical, above 1 a caricature, below 0 an anti-face (Nagle section 5).
 
     Parameters
@@ -286,15 +357,7 @@ def caricature(
     model
     faces
         Loadings on the model.
-    gains
-        Factors on the loadings.
-    warp_gain, texture_gain
-        Factors on the warp and the texture alone, in place of the gain; None for the gain.
-    components
-        The components that change, from 1, such as "1-5,8"; None for all.
-    region
-        The part of the face that changes: eyes, brows, mouth, nose, upper, lower, joined by "+", or the file
-        of a grey image of the model's size; None for all.
+    settings
 
     Raises
     ------
@@ -303,38 +366,22 @@ def caricature(
     ReferenceMismatch
         If the loadings belong to another model.
     """
+    _check_models(model=model)
+    _check_loadings(faces=faces)
+    request = CaricatureRequest(model=NOT_WRITTEN, output=NOT_WRITTEN, **settings)
+    change, _ = change_of(request, model)
     rows = faces.in_sd(model).values
-    if not len(gains):
-        raise BadInput("0 gains were given; expected at least 1, such as 1.5.")
-    places = None if components is None else components_named(components, rows.shape[1])
-    mask, _ = caricature_region(region, model)
-    one_gain = warp_gain is None and texture_gain is None
-    versions = dict.fromkeys(
-        (gain, gain) if one_gain else tuple(gain if own is None else own for own in (warp_gain, texture_gain))
-        for gain in gains
-    )
     drawings = [
-        caricature_drawing(
-            name,
-            row[None],
-            {"gain": warp} if one_gain else {"warp_gain": warp, "texture_gain": texture},
-            components=places,
-            region=region,
-            mask=mask,
-        )
+        drawing
         for name, row in zip(faces.frame_names, rows, strict=True)
-        for warp, texture in versions
+        for drawing in change(name, row[None])
     ]
-    return _faces(model, drawings)
+    return _faces("caricature", model, drawings)
 
 
+@_with_settings(TrajectoryRequest, "operations", "frame_rate_hz", "seed")
 def trajectory(
-    model: MorphModel,
-    *motions: Loadings,
-    operations: Sequence[str],
-    rate_hz: float | None = None,
-    guide: Loadings | None = None,
-    seed: int = 0,
+    model: MorphModel, *motions: Loadings, guide: Loadings | None = None, **settings: Any
 ) -> tuple[Loadings, ...]:
     """Change recorded motion: smooth, retime, loop, splice, average, caricature or scramble it.
 
@@ -343,14 +390,10 @@ def trajectory(
     model
     motions
         Loadings on the model, one row a frame.
-    operations
-        Words of `morphspace trajectory --op`, such as "smooth=6", "speed=1.5" or "loop", done in their order.
-    rate_hz
-        Frames a second of the motions; None for what the model states, else 25.
     guide
-        The motion whose timing is taken, for the operation "timing".
-    seed
-        Fixes the random numbers of the operations that scramble.
+        The motion whose timing is taken, for the operation "timing", or with which one motion is compared, for
+        "caricature". Operations are the words of `morphspace trajectory --op`, such as "smooth=6" or "loop".
+    settings
 
     Returns
     -------
@@ -362,26 +405,30 @@ def trajectory(
     BadInput
         If an operation is unknown or cannot be done to these motions.
     """
-    rate = float(rate_hz or model.provenance.get("frame_rate_hz") or FRAME_RATE_HZ)
+    _check_models(model=model)
+    _check_loadings(**{f"motion {place}": one for place, one in enumerate(motions, 1)})
+    if guide is not None:
+        _check_loadings(guide=guide)
+    request = TrajectoryRequest(model=NOT_WRITTEN, tables=(NOT_WRITTEN,), output=NOT_WRITTEN, **settings)
+    rate = float(request.frame_rate_hz or model.provenance.get("frame_rate_hz") or FRAME_RATE_HZ)
     given = [Motion(f"motion_{place}", one.in_sd(model).values, rate) for place, one in enumerate(motions)]
     if not given:
-        raise BadInput("0 motions were given; expected at least 1. Give loadings of a motion.")
+        raise BadInput("0 motions were given; expected at least 1. Give loadings of a motion")
     led = None if guide is None else Motion("guide", guide.in_sd(model).values, rate)
     width = given[0].loadings_sd.shape[1]
-    done = worked(given, operations_of(list(operations)), model.sd[:width], led, seed)
+    done = worked(given, operations_of(request.operations), model.sd[:width], led, request.seed)
     return tuple(
         _of_sd(model, one.loadings_sd, [f"frame_{i:04d}" for i in range(len(one.loadings_sd))])
         for one in done
     )
 
 
+@_with_settings(ContinuumRequest, "steps", "spacing", "positions")
 def continuum(
     first: MorphModel | Loadings,
     last: MorphModel | Loadings,
     model: MorphModel | None = None,
-    *,
-    steps: int = 6,
-    spacing: Spacing = "ciede2000",
+    **settings: Any,
 ) -> Faces:
     """Draw the faces on the straight line between two, in steps that are equal in `spacing`.
 
@@ -391,43 +438,59 @@ def continuum(
         Two models, whose mean faces are the ends; or two faces of one model, as loadings of one row.
     model
         The model of the two faces; None where the ends are models.
-    steps
-        The number of steps; there is one face more.
-    spacing
-        "loadings" or "warp" (the linear morph), "ciede2000" or "ssim" (equal for a measure of images).
+    settings
 
     Raises
     ------
     BadInput
         If the ends are one face, or cannot be put in correspondence.
     """
+    request = ContinuumRequest(first="first", last="last", output=NOT_WRITTEN, **settings)
+    positions = (
+        even_positions(request.steps) if request.positions is None else given_positions(request.positions)
+    )
+    line = _line(first, last, model)
+    spacing = request.spacing if request.positions is None else None
+    series = result_of(spaced_series(line, positions, spacing, linear=False))
+    drawings = continuum_drawings(line, "continuum", series["continuum"], spacing or "given")
+    return _faces("continuum", line.model, drawings)
+
+
+def _line(first: MorphModel | Loadings, last: MorphModel | Loadings, model: MorphModel | None) -> Line:
     if isinstance(first, MorphModel) and isinstance(last, MorphModel):
         inputs = {"first": first.model_id, "last": last.model_id}
         pair = pair_model([first, last], flow=DEFAULT, inputs=inputs, versions=package_versions()).model
-        line = Line(pair, *pair.training.values)
-    elif model is not None and isinstance(first, Loadings) and isinstance(last, Loadings):
-        ends = [one.in_sd(model).values for one in (first, last)]
-        if any(len(one) != 1 for one in ends):
-            raise BadInput(
-                f"the ends have {len(ends[0])} and {len(ends[1])} rows; expected one face each. Give one row, "
-                "such as `loadings[3]`."
-            )
-        line = Line(model, *(one[0] * model.sd[: one.shape[1]] for one in ends))
-    else:
+        return Line(pair, *pair.training.values)
+    if model is None or not (isinstance(first, Loadings) and isinstance(last, Loadings)):
         raise BadInput(
             f"the ends are {type(first).__name__} and {type(last).__name__}; expected two models, or two loadings and "
-            "the model they belong to. Give one of these."
+            "the model they belong to. Give one of these"
         )
-    positions = spaced_positions(line, steps, spacing).positions
-    return _faces(line.model, continuum_drawings(line, "continuum", positions, spacing))
+    _check_models(model=model)
+    ends = [one.in_sd(model).values for one in (first, last)]
+    if any(len(one) != 1 for one in ends):
+        raise BadInput(
+            f"the ends have {len(ends[0])} and {len(ends[1])} rows; expected one face each. Give one row, such as "
+            "`loadings[3]`"
+        )
+    return Line(model, *(one[0] * model.sd[: one.shape[1]] for one in ends))
 
 
-def plot(what: MorphModel | Loadings, **options: Any) -> Any:
-    """Draw a model's components, or loadings over the frames, as a matplotlib figure."""
-    return what.plot_components(**options) if isinstance(what, MorphModel) else what.plot(**options)
+def plot(what: MorphModel | Loadings, components: int | None = None) -> Any:
+    """Draw a model's first components, or loadings over the frames, as a matplotlib figure."""
+    if not isinstance(what, MorphModel | Loadings):
+        raise BadInput(
+            f"a plot of {what!r:.60} was asked for; expected a model or loadings. Give one of these"
+        )
+    draw_components = what.plot_components if isinstance(what, MorphModel) else what.plot
+    if components is None:
+        return draw_components()
+    return draw_components(converted(field_named(SweepRequest, "components"), components))
 
 
-def _faces(model: MorphModel, drawings: Sequence[Drawing]) -> Faces:
+def _faces(what: str, model: MorphModel, drawings: Sequence[Drawing]) -> Faces:
+    if not drawings:
+        raise BadInput(f"{what} has nothing to draw. Give at least one frame, step or gain")
     names = tuple(one.name for one in drawings)
     loadings = _of_sd(model, np.concatenate([one.loadings_sd for one in drawings]), names)
     return Faces(names, loadings, lambda place: next(draw(model, drawings[place])))
@@ -437,10 +500,35 @@ def _of_sd(model: MorphModel, values_sd: LoadingTable, names: Sequence[str]) -> 
     return Loadings(values_sd, tuple(names), model.model_id, "sd")
 
 
-def _run(steps: Steps[Any], progress: bool) -> Any:
-    """Run long work to its end, with a progress bar if one is wanted."""
-    if not progress:
-        return result_of(steps)
+def _check_models(**models: Any) -> None:
+    for name, given in models.items():
+        if not isinstance(given, MorphModel):
+            raise BadInput(
+                f"{name} is {given!r:.60}; expected a model. Open one with `load`, or make one with `build`"
+            )
+
+
+def _check_loadings(**loadings: Any) -> None:
+    for name, given in loadings.items():
+        if not isinstance(given, Loadings):
+            raise BadInput(
+                f"{name} is {given!r:.60}; expected loadings. Make them with `encode`, or use `model.training`"
+            )
+
+
+def _work_folder(asked: Path | None) -> AbstractContextManager[Path | str]:
+    return tempfile.TemporaryDirectory(prefix="morphspace-") if asked is None else nullcontext(asked)
+
+
+def _run(steps: Steps[Any], progress: bool, workers: int | Executor | None) -> Any:
+    """Run long work to its end with these workers, and with a progress bar if one is wanted."""
+    if not isinstance(workers, Executor):
+        workers = converted(field_of("workers", Workers), workers)
+    with using_workers(workers):
+        return _with_bar(steps) if progress else result_of(steps)
+
+
+def _with_bar(steps: Steps[Any]) -> Any:
     from tqdm import tqdm
 
     with tqdm(leave=False) as bar:

@@ -35,6 +35,7 @@ from morphspace.settings import (
 )
 
 Request = typing.TypeVar("Request")
+Part = typing.TypeVar("Part")
 
 VERBS_PACKAGE = "morphspace.verbs"
 GROUPS = {"models": "The networks that find faces: fetched once, then used offline."}
@@ -68,6 +69,22 @@ Frames = Annotated[
     tuple[str, ...],
     Option("--frame", metavar="NAME"),
     Help("Only this frame; may be repeated [default: all]."),
+]
+MaxSd = Annotated[
+    float,
+    Ge(0.001),
+    Le(1000),
+    Help(
+        "Bound of each loading, SD; larger loadings are compressed smoothly, so that the picture stays a face."
+    ),
+]
+"""The limits lie far outside the loadings of faces, which are within 3 SD."""
+Workers = Annotated[
+    int | None,
+    Ge(1),
+    Le(1024),
+    Option(metavar="N"),
+    Help("Number of frames, or stimuli of a batch, to process in parallel [default: one per core]."),
 ]
 Seed = Annotated[int, Ge(0), Help("Seed of the random numbers; the same seed gives the same result.")]
 MimicryMethod = Literal["auto", "paper", "map", "transfer", "guided"]
@@ -157,6 +174,14 @@ def request_from(
         elif field.required and field.name not in more:
             raise WrongSetting(field.name, f"is missing; expected {field.words}")
     return kind(**values, **more)
+
+
+def settings_in(request: Any, kind: type[Part], **more: Any) -> Part:
+    """Build the settings of a room from the fields that a request and the room's dataclass share, and `more`."""
+    kind_of_request: type = type(request)
+    shared = {field.name for field in fields_of(kind_of_request)} - set(more)
+    own: Any = dataclasses.fields(typing.cast(Any, kind))
+    return kind(**{one.name: getattr(request, one.name) for one in own if one.name in shared}, **more)
 
 
 # Records of requests.

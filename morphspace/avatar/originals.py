@@ -11,7 +11,8 @@ from dataclasses import dataclass
 from typing import Protocol
 
 from morphspace.errors import BadInput
-from morphspace.io.framing import FrameSource
+from morphspace.io.framing import FramedClip, FrameSource
+from morphspace.model.encode import framed_for
 from morphspace.model.model import MorphModel
 from morphspace.model.morph import Morph, morph_of
 
@@ -57,6 +58,12 @@ def originals_of(models: Sequence[MorphModel], clips: Sequence[Clip] | None) -> 
         return [None] * len(models)
     check_clips(len(clips), len(models))
     return [_checked(model, clip) for model, clip in zip(models, clips, strict=True)]
+
+
+def opened_clips(given: Sequence[str], models: Sequence[MorphModel]) -> list[FramedClip]:
+    """Open the clips from which the models were built. Raises `BadInput` unless there is one for each."""
+    check_clips(len(given), len(models))
+    return [framed_for(model, (clip,), None) for model, clip in zip(models, given, strict=True)]
 
 
 def check_clips(clips: int, models: int) -> None:

@@ -22,9 +22,9 @@ from morphspace.avatar.settings import (
     SOURCE,
     AvatarSettings,
     check_models,
-    check_settings,
     identity_at,
     method_of,
+    shares_of,
 )
 from morphspace.avatar.versions import Cast, Show, Version
 from morphspace.errors import BadInput
@@ -154,7 +154,7 @@ class Studio:
 def studio_of(models: Sequence[MorphModel], settings: AvatarSettings) -> Studio:
     """Check the settings and prepare the blend. Raises `BadInput`."""
     check_models(models)
-    weights = check_settings(settings, len(models))
+    weights = shares_of(settings.weights, len(models))
     keys = [model_key(model) for model in models]
     labels = labels_of(models, keys)
     part = tuple(sorted((i for i in range(len(models)) if weights[i] > 0), key=lambda i: (keys[i], i)))

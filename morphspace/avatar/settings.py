@@ -12,17 +12,14 @@ from morphspace.arrays import AnyArray
 from morphspace.avatar.originals import Clip
 from morphspace.errors import BadInput, SizeMismatch
 from morphspace.face.detector import Detector
-from morphspace.flow import methods
 from morphspace.model.keypoints import lip_of, required_faceframe
 from morphspace.model.model import MorphModel
-from morphspace.transfer.mimicry import MAX_SD, METHODS, Method
+from morphspace.transfer.mimicry import METHODS, Method
 
 AUTO = "auto"
 MEAN, SOURCE = "mean", "source"
 FLAT = "flat"
 EXPRESSION, REST = "expression", "rest"
-EXPRESSIONS = 40  # of each identity; more cost in proportion and add little that is new
-COMPONENTS = 50
 MOST_SHARPEN = 3.0  # with more, edges ring
 
 
@@ -63,17 +60,17 @@ class AvatarSettings:
         Joined to the provenance of the result.
     """
 
-    weights: Sequence[float] | None = None
-    faceframe: str = MEAN
-    reference: str | None = None
-    expressions: int | None = EXPRESSIONS
-    method: str = AUTO
-    max_sd: float = MAX_SD
-    sharpen: float | None = None
-    surround: str | None = None
-    correspondence: str = EXPRESSION
-    flow: str = methods.DEFAULT
-    components: int = COMPONENTS
+    weights: Sequence[float] | None
+    faceframe: str
+    reference: str | None
+    expressions: int | None
+    method: str
+    max_sd: float
+    sharpen: float | None
+    surround: str | None
+    correspondence: str
+    flow: str
+    components: int
     detector: Detector | None = None
     clips: Sequence[Clip] | None = None
     provenance: Mapping[str, Any] = field(default_factory=dict)
@@ -145,32 +142,8 @@ def _finite(model: MorphModel) -> bool:
     return all(bool(np.isfinite(part).all()) for part in (*parts, *rows))
 
 
-def check_settings(settings: AvatarSettings, count: int) -> AnyArray:
-    """Return the weights (k,), sum 1. Raises `BadInput` for settings that cannot be used."""
-    methods.named(settings.flow)
-    if settings.correspondence not in (EXPRESSION, REST):
-        raise BadInput(
-            f"there is no correspondence by {settings.correspondence!r}: choose {EXPRESSION} or {REST}"
-        )
-    if settings.method not in (AUTO, *METHODS):
-        raise BadInput(
-            f"there is no mimicry by {settings.method!r}: choose {AUTO}, or one of {', '.join(METHODS)}"
-        )
-    if not (np.isfinite(settings.max_sd) and settings.max_sd > 0):
-        raise BadInput(
-            f"a bound of {settings.max_sd} SD cannot be used: give a number above 0, such as {MAX_SD:g}"
-        )
-    if settings.expressions is not None and settings.expressions < 1:
-        raise BadInput(f"{settings.expressions} expressions were asked for: ask for at least 1, or all")
-    if settings.components < 1:
-        raise BadInput(f"{settings.components} components were asked for: ask for at least 1")
-    amount = settings.sharpen
-    if amount is not None and not 0 <= amount <= MOST_SHARPEN:
-        raise BadInput(f"a sharpening of {amount} cannot be used: give 0 to {MOST_SHARPEN:g}, or auto")
-    return _weights(settings.weights, count)
-
-
-def _weights(asked: Sequence[float] | None, count: int) -> AnyArray:
+def shares_of(asked: Sequence[float] | None, count: int) -> AnyArray:
+    """Return the weights (count,), sum 1; equal for None. Raises `BadInput` for weights that cannot be used."""
     weights = np.ones(count) if asked is None else np.array(asked, np.float64)
     if weights.shape != (count,):
         raise BadInput(f"{weights.size} weights do not fit {count} models: give one a model, in their order")

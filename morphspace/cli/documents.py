@@ -21,7 +21,7 @@ HEAD = """# Verbs
 Every verb of morphspace with its settings. In Python they are the fields of a request of `morphspace.verbs.NAME`, whose
 `run` executes it. A [recipe](../data_spec/recipe.md) has them as keys of an entry, for the verbs marked with
 an asterisk. Python, the command line and recipes accept the same values. `morphspace VERB --help` shows the same
-texts. Every verb also takes `--quiet`, `--json` and `--debug`.
+texts. Every verb also takes `--workers`, `--quiet`, `--json` and `--debug`.
 
 This page is generated from the declarations: `python -m morphspace.cli.documents verbs > docs/verbs.md`.
 """

@@ -11,14 +11,15 @@ import re
 import signal
 import sys
 import threading
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import click
 
 from morphspace import __version__
 from morphspace.cli.options import parameters_of, request_of_words
 from morphspace.errors import BadInput, MorphspaceError
-from morphspace.requests import GROUPS, Verb, verb_named, verb_names
+from morphspace.requests import GROUPS, Verb, Workers, declared, verb_named, verb_names
+from morphspace.settings import Help, Option
 
 if TYPE_CHECKING:
     from morphspace.outcome import Outcome
@@ -30,7 +31,16 @@ PROGRESS_EVERY_S, IN_A_LOG_EVERY_S = (
     30.0,
 )  # s; on a terminal, and in a log file, where each update adds a line
 INTERRUPTED = 130
-WORKERS_HELP = "Number of frames, or stimuli of a batch, to process in parallel [default: one per core]."
+
+
+@declared
+class SharedRequest:
+    """The options that every verb takes."""
+
+    workers: Workers = None
+    quiet: Annotated[bool, Help("Print nothing but errors.")] = False
+    as_json: Annotated[bool, Option("--json"), Help("Print the outcome as JSON, for machines.")] = False
+    debug: Annotated[bool, Help("Show a traceback when something fails.")] = False
 
 
 class Verbs(click.Group):
@@ -110,54 +120,53 @@ def _tidy_up_when_asked_to_stop() -> None:
 
 def _command(name: str, verb: Verb) -> click.Command:
     """Build the command of a verb: its own parameters, and those of all verbs."""
-    shared = [
-        click.Option(["--workers"], type=click.IntRange(1, 1024), metavar="N", help=WORKERS_HELP),
-        click.Option(["--quiet"], is_flag=True, help="Print nothing but errors."),
-        click.Option(["--json", "as_json"], is_flag=True, help="Print the outcome as JSON, for machines."),
-        click.Option(["--debug"], is_flag=True, help="Show a traceback when something fails."),
-    ]
+    shared = parameters_of(SharedRequest)
+    names = {parameter.name for parameter in shared}
 
-    def callback(workers: int | None, quiet: bool, as_json: bool, debug: bool, **words: Any) -> int:
-        return _run(verb, words, workers, quiet, as_json, debug)
+    def callback(**words: Any) -> int:
+        given = request_of_words(SharedRequest, {key: words[key] for key in names})
+        return _run(verb, {key: word for key, word in words.items() if key not in names}, given)
 
     params = [*parameters_of(verb.request), *shared]
     return click.Command(name, params=params, callback=callback, help=verb.help)
 
 
-def _run(
-    verb: Verb, words: dict[str, Any], workers: int | None, quiet: bool, as_json: bool, debug: bool
-) -> int:
+def _run(verb: Verb, words: dict[str, Any], shared: SharedRequest) -> int:
     """Run the verb with the given words, print its outcome, and return the exit code."""
     _tidy_up_when_asked_to_stop()
     try:
         request = request_of_words(verb.request, words)
         from morphspace.steps import using_workers
 
-        with using_workers(workers):
-            outcome = _driven(verb.run(request), quiet or as_json)
+        with using_workers(shared.workers):
+            outcome = _driven(verb.run(request), shared.quiet or shared.as_json)
     except KeyboardInterrupt:
-        if debug:
+        if shared.debug:
             raise
         _fail(
             "stopped; all written files are complete. Run the same command to resume",
             INTERRUPTED,
-            "Interrupted" if as_json else None,
+            "Interrupted" if shared.as_json else None,
         )
     except MorphspaceError as error:
-        if debug:
+        if shared.debug:
             raise
-        _fail(str(error), 2 if isinstance(error, BadInput) else 1, type(error).__name__ if as_json else None)
+        _fail(
+            str(error),
+            2 if isinstance(error, BadInput) else 1,
+            type(error).__name__ if shared.as_json else None,
+        )
     except click.UsageError:
         raise
     except Exception as error:
-        if debug:
+        if shared.debug:
             raise
         _fail(
             f"a fault of morphspace ({type(error).__name__}: {error}); run again with --debug and report it",
             1,
-            "Fault" if as_json else None,
+            "Fault" if shared.as_json else None,
         )
-    _show(outcome, quiet, as_json)
+    _show(outcome, shared.quiet, shared.as_json)
     return outcome.exit_code
 
 

@@ -12,7 +12,6 @@ import numpy as np
 
 from morphspace.arrays import Image, LoadingTable
 from morphspace.face.detector import Detector
-from morphspace.face.regions import WHOLE
 from morphspace.imitation import Comparison, compare
 from morphspace.imitation.imitator import METHOD, imitator_of
 from morphspace.imitation.motions import (
@@ -92,12 +91,12 @@ class MeasureSettings:
         Model of the imitating person if that is another person.
     """
 
-    components: int | None = None
-    permutations: int = 1000
-    seed: int = 0
-    mask: Path | None = None
-    region: str = WHOLE
-    imitator: Path | None = None
+    components: int | None
+    permutations: int
+    seed: int
+    mask: Path | None
+    region: str
+    imitator: Path | None
 
 
 @dataclass(frozen=True, eq=False)

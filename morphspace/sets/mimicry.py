@@ -18,13 +18,12 @@ import numpy as np
 
 from morphspace import cache
 from morphspace.arrays import AnyArray, Image
-from morphspace.errors import BadInput
 from morphspace.face.detector import Detector
 from morphspace.face.mesh import FacePoints
 from morphspace.io.images import picture_names, read_image, write_image
 from morphspace.io.tables import write_loadings_table
 from morphspace.io.video import write_video
-from morphspace.model.encode import check_components, energy_outside, first_components
+from morphspace.model.encode import energy_outside, first_components
 from morphspace.model.keypoints import how_to_learn
 from morphspace.model.model import MorphModel
 from morphspace.outcome import versions, write_record
@@ -52,16 +51,11 @@ from morphspace.transfer.mimicry import (
     auto_gain,
     mimic,
 )
-from morphspace.transfer.neutral import AUTOMATIC, Neutral, neutral_names, neutral_of
+from morphspace.transfer.neutral import Neutral, neutral_names, neutral_of
 from morphspace.transfer.quality import Quality, Reach, ReachOf, reach_of
 from morphspace.transfer.quality_table import FaceSeen, FrameMade, made_of, quality_columns, write_quality
 
-BEST = "auto"  # the default: the most accurate method that the models allow
-MAX_SD = 3.0
-MOST_GAIN = (
-    1000.0  # factor; a caricature has 2, and far larger gains show the same bounded face in every frame
-)
-LEAST_SD, MOST_SD = 0.001, 1000.0  # SD; faces lie within 3
+BEST = "auto"  # the most accurate method that the models allow
 WORK_FORMAT = "morphspace-mimic-frame-4"
 MARK_NAME = "begun"  # marks the folder as ours before the first picture is written
 GAP_PX = 4  # between the panels of the video
@@ -240,29 +234,16 @@ class MimicSettings:
     Raises
     ------
     BadInput
-        If a setting is outside its range.
+        If `neutral` names no frames.
     """
 
-    method: str = BEST
-    gain: float | Literal["auto"] | None = None
-    max_sd: float = MAX_SD
-    components: int | None = None
-    neutral: str = AUTOMATIC
+    method: str
+    gain: float | Literal["auto"] | None
+    max_sd: float
+    components: int | None
+    neutral: str
 
     def __post_init__(self) -> None:
-        if self.method not in (BEST, *METHODS):
-            raise BadInput(f"the method is {self.method!r}; expected {BEST}, or one of {', '.join(METHODS)}")
-        if isinstance(self.gain, float | int) and not abs(self.gain) <= MOST_GAIN:
-            raise BadInput(
-                f"--gain is {self.gain:g}; expected a number from {-MOST_GAIN:g} to {MOST_GAIN:g}, such as 1 for the "
-                "unchanged motion"
-            )
-        if not LEAST_SD <= self.max_sd <= MOST_SD:
-            raise BadInput(
-                f"--max-sd is {self.max_sd:g}; expected a number from {LEAST_SD:g} to {MOST_SD:g}, such as "
-                f"{MAX_SD:g}"
-            )
-        check_components(self.components)
         neutral_names(self.neutral)
 
 
@@ -277,7 +258,7 @@ class WrittenMimicry:
 
 
 @dataclass(frozen=True, eq=False)
-class _Drive:
+class Drive:
     """A prepared pair of models: the `target` with its selected components, the mimicry and its notes."""
 
     target: MorphModel
@@ -319,7 +300,7 @@ def written_mimicry(
     check_inputs((*pictures, video), [*driver.files, *inputs])
     make_folder(folder / MIMIC_FRAMES)
     remove_unfinished(folder)
-    drive = _drive(source, target, asked)
+    drive = drive_of(source, target, asked)
     looks = advice.looks_for_faces(driver, source.model, target.model, detector)
     settings = {
         "method": drive.method,
@@ -374,7 +355,7 @@ def written_mimicry(
     return WrittenMimicry(settings, columns, notes, tuple(written))
 
 
-def _drive(source: UsedModel, target: UsedModel, asked: MimicSettings) -> _Drive:
+def drive_of(source: UsedModel, target: UsedModel, asked: MimicSettings) -> Drive:
     """Choose method, neutral faces and gain, and prepare both models."""
     used, rank_notes = first_components(target.model, asked.components)
     method, method_notes = _method(source, target, asked)
@@ -385,7 +366,7 @@ def _drive(source: UsedModel, target: UsedModel, asked: MimicSettings) -> _Drive
     gain = auto_gain(source.model, used, method, neutral=neutral) if gain_asked == "auto" else gain_asked
     make = mimic(source.model, used, method, gain=gain, max_sd=asked.max_sd, neutral=neutral)
     reach = reach_of(source.model, used, gain, neutral)
-    return _Drive(used, method, gain, gain_asked, neutral, make, reach, (*method_notes, *rank_notes))
+    return Drive(used, method, gain, gain_asked, neutral, make, reach, (*method_notes, *rank_notes))
 
 
 def _identified(used: UsedModel) -> dict[str, str]:

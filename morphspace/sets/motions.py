@@ -18,12 +18,10 @@ from morphspace.sets.manifest import Column
 from morphspace.sets.planned import KEPT_STEMS
 from morphspace.sets.sources import FRAME_RATE_HZ, file_names
 from morphspace.steps import Step, Steps
-from morphspace.stimuli.motion_words import GUIDED
 from morphspace.stimuli.operations import Motion, Operation, operations_of, worked
 from morphspace.stimuli.table_checks import check_table
 from morphspace.stimuli.trajectory import step_lengths
 
-LEAST_FRAMES = 2  # frames of a motion
 JUMP = 1.0 + 1e-6  # median steps; a larger closing step is a visible jump
 STEP_DIGITS = 6
 COLUMNS: Mapping[str, Column] = {
@@ -76,10 +74,6 @@ def made_motions(
     operations = operations_of(words)
     if not tables:
         raise BadInput("no table was given. Give the loadings of at least one motion (.csv)")
-    if seed < 0:
-        raise BadInput(f"the seed is {seed}; expected a whole number of at least 0")
-    if frame_rate_hz is not None and not 0 < frame_rate_hz <= 1000:
-        raise BadInput(f"the frame rate is {frame_rate_hz} Hz; expected above 0, at most 1000")
     paths = [*tables, *([] if guide_path is None else [guide_path])]
     read = []
     for path in paths:
@@ -89,11 +83,6 @@ def made_motions(
     found = [motion for motion, _ in read]
     _check_components(found, paths)
     guide = None if guide_path is None else found.pop()
-    if guide is not None and not any(one.word in GUIDED for one in operations):
-        raise BadInput(
-            f"{guide_path} is the guide, but no operation uses one. Add {' or '.join(GUIDED)}, or leave it "
-            "out"
-        )
     motions = [replace(motion, name=name) for motion, name in zip(found, names, strict=True)]
     weights = model.sd[: motions[0].loadings_sd.shape[1]]
     done = worked(motions, operations, weights, guide, seed)
@@ -109,10 +98,6 @@ def _motion(path: Path, model: MorphModel, rate_hz: float | None) -> tuple[Motio
     """Read a motion, check that it belongs to the model, and return it with notes."""
     table = read_loadings_table(path)
     notes = check_table(model, table, path)
-    if len(table.frame_names) < LEAST_FRAMES:
-        raise BadInput(
-            f"{path} has {len(table.frame_names)} frames; expected at least {LEAST_FRAMES}. Give a table of a clip"
-        )
     known_hz = rate_hz or (table.document or {}).get("frame_rate_hz") or model.provenance.get("frame_rate_hz")
     if not known_hz:
         notes += (f"{path} has no frame rate: {FRAME_RATE_HZ:g} Hz is assumed; give --frame-rate",)

@@ -16,9 +16,10 @@ import numpy as np
 from morphspace.arrays import AnyArray, LoadingTable
 from morphspace.errors import BadInput
 from morphspace.stimuli import timing, trajectory
-from morphspace.stimuli.motion_words import WORDS, Word
+from morphspace.stimuli.motion_words import GUIDED, WORDS, Word
 from morphspace.stimuli.timing import Ends
 
+LEAST_FRAMES = 2  # of a motion
 LONGEST_NAME = 80  # characters; the names of more motions are replaced by their number
 SAME_RATE = 1e-6  # relative
 NUMBER = re.compile(r"[+-]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][+-]?[0-9]+)?")
@@ -294,6 +295,17 @@ def worked(
     BadInput
         If an operation cannot be applied; the message starts with it.
     """
+    if guide is not None and not any(one.word in GUIDED for one in operations):
+        raise BadInput(
+            f"a guide is given, but no operation takes one; expected {' or '.join(GUIDED)}. Add one, or leave the "
+            "guide out"
+        )
+    for motion in motions:
+        if len(motion.loadings_sd) < LEAST_FRAMES:
+            raise BadInput(
+                f"{motion.name} has {len(motion.loadings_sd)} frames; expected at least {LEAST_FRAMES}. Give a longer "
+                "motion"
+            )
     found = list(motions)
     for place, operation in enumerate(operations):
         setting = Setting(weights, guide, np.random.default_rng([seed, place]))

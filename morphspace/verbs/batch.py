@@ -5,9 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-from annotated_types import Ge, Le
-
-from morphspace.requests import Folder, declared
+from morphspace.requests import Folder, Workers, declared
 from morphspace.settings import Argument, Help, NotAnOption, Option
 
 if TYPE_CHECKING:
@@ -25,11 +23,7 @@ class BatchRequest:
     recipe: Annotated[Path, Argument("RECIPE"), Help("The recipe (.yaml, .csv).")]
     output: Folder
     workers: Annotated[
-        int | None,
-        Ge(1),
-        Le(1024),
-        NotAnOption(),
-        Help("Number of processes that draw [default: as the verbs' --workers]."),
+        Workers, NotAnOption(), Help("Number of processes that draw [default: as the verbs' --workers].")
     ] = None
     is_plan: Annotated[
         bool, Option("--plan"), Help("Show number, duration and size of the stimuli; draw nothing.")

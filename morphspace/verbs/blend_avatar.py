@@ -3,20 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
-from annotated_types import Ge, Gt, Le
+from annotated_types import Ge, Le
 
 from morphspace.errors import BadInput
 from morphspace.flow.names import DEFAULT, NAMES
-from morphspace.requests import ClipText, MimicryMethod, declared
+from morphspace.requests import ClipText, MaxSd, MimicryMethod, declared, settings_in
 from morphspace.settings import Argument, Help, OneOf, Option, Spelled
 
 if TYPE_CHECKING:
-    from morphspace.avatar import Avatar
-    from morphspace.io.framing import FramedClip
+    from morphspace.avatar import Avatar, AvatarSettings
     from morphspace.model.model import MorphModel
     from morphspace.outcome import Outcome
     from morphspace.steps import Steps
@@ -70,9 +68,7 @@ class BlendAvatarRequest:
     method: Annotated[
         MimicryMethod, Help("Method of transferring expressions, as in `morphspace mimic`.")
     ] = "auto"
-    max_sd: Annotated[
-        float, Gt(0), Help("Bound of each loading, SD; larger loadings are compressed smoothly.")
-    ] = 3.0
+    max_sd: MaxSd = 3.0
     sharpen: Annotated[
         float | None,
         Ge(0),
@@ -123,12 +119,10 @@ class BlendAvatarRequest:
 
 def run(request: BlendAvatarRequest) -> Steps[Outcome]:
     """Blend the identities, build a model of them, and write the model and its page."""
-    from morphspace.avatar import AvatarSettings, blend_steps
+    from morphspace.avatar import blend_steps
     from morphspace.avatar.build import checked
     from morphspace.cache import work_folder
-    from morphspace.face.detector import detector_for
     from morphspace.model.model import load_model
-    from morphspace.outcome import versions
     from morphspace.report.avatar_page import avatar_page, avatar_result, landmark_words
     from morphspace.sets.models import held_models
     from morphspace.sets.protect import check_file
@@ -144,16 +138,7 @@ def run(request: BlendAvatarRequest) -> Steps[Outcome]:
     check_file(report, ".html", paths)
     with held_models(paths) as held:
         models = [load_model(path) for path in held]
-        detector, missing = detector_for(request.landmarks)
-        same = {one.name for one in fields(AvatarSettings)} & {one.name for one in fields(request)} - {
-            "clips"
-        }
-        settings = AvatarSettings(
-            **{name: getattr(request, name) for name in same},
-            detector=detector,
-            clips=_clips(request, models),
-            provenance={"identity": request.identity, "versions": versions()},
-        )
+        settings, missing = blend_settings(request, models)
         checked(models, settings)  # before any folder is made
         make_folder(request.output.parent)
         make_folder(report.parent)
@@ -163,20 +148,27 @@ def run(request: BlendAvatarRequest) -> Steps[Outcome]:
             result = yield from avatar_result(avatar, models, settings)
             avatar.model.save(request.output)
             write_text(report, avatar_page(result))
-        advice = landmark_words(avatar, detector is not None, request.output)
+        advice = landmark_words(avatar, settings.detector is not None, request.output)
         notes = (*((NO_FINDER,) if missing else ()), *avatar.notes, *advice)
         return _outcome(avatar, request, report, digests, notes)
 
 
-def _clips(request: BlendAvatarRequest, models: Sequence[MorphModel]) -> list[FramedClip] | None:
-    """Open the clips from which the models were built. Raises `BadInput` unless there is one for each."""
-    from morphspace.avatar.originals import check_clips
-    from morphspace.model.encode import framed_for
+def blend_settings(request: BlendAvatarRequest, models: Sequence[MorphModel]) -> tuple[AvatarSettings, bool]:
+    """Open the detector and the clips; return the settings of the blend, and whether the networks are missing."""
+    from morphspace.avatar import AvatarSettings
+    from morphspace.avatar.originals import opened_clips
+    from morphspace.face.detector import detector_for
+    from morphspace.outcome import versions
 
-    if request.clips is None:
-        return None
-    check_clips(len(request.clips), len(models))
-    return [framed_for(model, (clip,), None) for model, clip in zip(models, request.clips, strict=True)]
+    detector, missing = detector_for(request.landmarks)
+    settings = settings_in(
+        request,
+        AvatarSettings,
+        detector=detector,
+        clips=None if request.clips is None else opened_clips(request.clips, models),
+        provenance={"identity": request.identity, "versions": versions()},
+    )
+    return settings, bool(missing)
 
 
 def _outcome(

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
 from annotated_types import Ge, Gt, Le
 
 from morphspace.flow.names import DEFAULT, NAMES
-from morphspace.requests import Clip, Crop, Size, declared
+from morphspace.requests import Clip, Crop, Size, declared, settings_in
 from morphspace.settings import Help, OneOf, Option, Spelled
 
 if TYPE_CHECKING:
@@ -91,7 +90,7 @@ def run(request: BuildModelRequest) -> Steps[Outcome]:
     from morphspace.sets.protect import check_file
     from morphspace.storage import make_folder
 
-    settings = ClipSettings(**{field.name: getattr(request, field.name) for field in fields(ClipSettings)})
+    settings = settings_in(request, ClipSettings)
     clip = open_clip(request.sources)
     output = request.output or Path(f"{clip.name}.morph")
     report = request.report or output.with_suffix(".html")

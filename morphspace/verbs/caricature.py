@@ -19,10 +19,16 @@ from morphspace.requests import (
 from morphspace.settings import Help, Option
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from morphspace.arrays import LoadingTable
     from morphspace.model.model import MorphModel
     from morphspace.outcome import Outcome
     from morphspace.sets.planned import PlannedSet
     from morphspace.steps import Steps
+    from morphspace.stimuli.drawing import Drawing
+
+    Change = Callable[..., list[Drawing]]
 
 
 @declared
@@ -94,38 +100,53 @@ def plan(request: CaricatureRequest, model: MorphModel | None = None) -> Steps[P
     from morphspace.model.model import load_model
     from morphspace.sets.planned import plan_of
     from morphspace.sets.sources import faces_of
-    from morphspace.stimuli.caricature import caricature_drawing, caricature_region, components_named
 
     model = model or load_model(request.model)
-    for gains, what in (
-        (request.gains, "gain"),
-        (request.warp_gains, "warp gain"),
-        (request.texture_gains, "texture gain"),
-    ):
-        check_gains(gains, what)
-    components = None if request.components is None else components_named(request.components, model.rank)
-    mask, inputs = caricature_region(request.region, model)
+    change, inputs = change_of(request, model)
     faces = yield from faces_of(
         model, request.loadings, request.clip, request.frames, request.crop, request.frame_rate_hz
     )
+    rate = None if request.video is None else faces.frame_rate_hz
     drawings = [
-        caricature_drawing(
-            name,
-            faces.loadings_sd[rows],
-            gains,
-            components=components,
-            components_named_as=request.components,
-            region=request.region,
-            mask=mask,
-            frame_rate_hz=None if request.video is None else faces.frame_rate_hz,
-            suffix=request.video or ".png",
-        )
+        drawing
         for name, rows in faces.stimuli(request.video)
-        for gains in _gains(request)
+        for drawing in change(name, faces.loadings_sd[rows], rate)
     ]
     return plan_of(
         request, "caricature", model, drawings, inputs={**faces.inputs, **inputs}, notes=faces.notes
     )
+
+
+def change_of(request: CaricatureRequest, model: MorphModel) -> tuple[Change, dict[str, str]]:
+    """Check gains, components and region; return the change of faces, and the digest of the region's file."""
+    from morphspace.stimuli.caricature import caricature_drawing, caricature_region, components_named
+
+    for given, what in (
+        (request.gains, "gain"),
+        (request.warp_gains, "warp gain"),
+        (request.texture_gains, "texture gain"),
+    ):
+        check_gains(given, what)
+    components = None if request.components is None else components_named(request.components, model.rank)
+    mask, inputs = caricature_region(request.region, model)
+
+    def drawings(name: str, veridical_sd: LoadingTable, frame_rate_hz: float | None = None) -> list[Drawing]:
+        return [
+            caricature_drawing(
+                name,
+                veridical_sd,
+                gains,
+                components=components,
+                components_named_as=request.components,
+                region=request.region,
+                mask=mask,
+                frame_rate_hz=frame_rate_hz,
+                suffix=request.video or ".png",
+            )
+            for gains in _gains(request)
+        ]
+
+    return drawings, inputs
 
 
 def check_gains(gains: tuple[float, ...] | None, what: str) -> None:

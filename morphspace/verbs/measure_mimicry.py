@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated
 from annotated_types import Ge, Le
 
 from morphspace.errors import BadInput
-from morphspace.requests import ClipText, declared
+from morphspace.requests import ClipText, declared, settings_in
 from morphspace.settings import Argument, Help, Option
 
 if TYPE_CHECKING:
@@ -98,14 +98,7 @@ def run(request: MeasureMimicryRequest, detector: Detector | None = None) -> Ste
                 f"the output folder {folder} is one of the two clips. Choose another output folder"
             )
     check_ours(folder, VERB, WRITTEN)
-    settings = MeasureSettings(
-        request.components,
-        request.permutations,
-        request.seed,
-        request.mask,
-        request.region,
-        request.imitator,
-    )
+    settings = settings_in(request, MeasureSettings)
     with no_empty_folders(folder, ()), mark_of(folder):
         made = yield from written_imitation(
             folder,

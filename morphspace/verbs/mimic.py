@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 from annotated_types import Ge, Le
 
-from morphspace.requests import ClipText, Folder, MimicryMethod, declared
+from morphspace.requests import ClipText, Folder, MaxSd, MimicryMethod, declared, settings_in
 from morphspace.settings import Help, Option
 
 if TYPE_CHECKING:
@@ -66,14 +66,7 @@ class MimicRequest:
             "transfer, 1 with paper and map]."
         ),
     ] = None
-    max_sd: Annotated[
-        float,
-        Ge(0.001),
-        Le(1000),
-        Help(
-            "Bound of each loading, SD; larger loadings are compressed smoothly, so that the picture stays a face."
-        ),
-    ] = 3.0
+    max_sd: MaxSd = 3.0
     components: Annotated[
         int | None,
         Ge(1),
@@ -135,9 +128,7 @@ def _opened(request: MimicRequest, detect: Detector | None) -> tuple[list[UsedMo
     from morphspace.sets.models import check_faces, check_landmarks, opened_model
     from morphspace.sets.protect import MODELS_FOLDER, check_apart, check_ours
 
-    settings = MimicSettings(
-        request.method, request.gain, request.max_sd, request.components, request.neutral
-    )
+    settings = settings_in(request, MimicSettings)
     sides = {"--src": request.source, "--dst": request.target}
     check_ours(request.output)
     opened = [opened_model(role, words, detect) for role, words in sides.items()]

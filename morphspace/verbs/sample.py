@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Annotated
 
-from annotated_types import Ge, Gt, Le
+from annotated_types import Ge, Le
 
-from morphspace.requests import Folder, Model, declared
+from morphspace.requests import Folder, MaxSd, Model, declared
 from morphspace.settings import Help, Option
 
 if TYPE_CHECKING:
@@ -28,10 +28,7 @@ class SampleRequest:
         float, Ge(0), Le(100), Help("Scale of the distribution, a factor; 1 is that of the training faces.")
     ] = 1.0
     max_sd: Annotated[
-        float | None,
-        Gt(0),
-        Le(1000),
-        Help("Largest loading, SD; larger ones are drawn again [default: no limit]."),
+        MaxSd | None, Help("Largest loading, SD; larger ones are drawn again [default: no limit].")
     ] = None
 
 

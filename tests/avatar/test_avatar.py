@@ -17,7 +17,7 @@ from morphspace.avatar.common_grid import CommonFace, common_face, placed, place
 from morphspace.avatar.notes import notes_on
 from morphspace.avatar.prepared import studio_of
 from morphspace.avatar.selection import labels_of, model_key, spread_out
-from morphspace.avatar.settings import Expression, check_settings
+from morphspace.avatar.settings import Expression, shares_of
 from morphspace.avatar.sharpness import curve, mean_curve, sharpened, sharpness
 from morphspace.avatar.versions import LEAST, Gaps, Version, falling
 from morphspace.avatar.visible import inside_outline, skin_share
@@ -37,10 +37,12 @@ from morphspace.grid import warp
 from morphspace.model.landmarks import LandmarkRegression
 from morphspace.model.loadings import Loadings
 from morphspace.model.morph import Morph
+from morphspace.requests import settings_in
 from morphspace.sets import models as set_models
 from morphspace.steps import result_of
 from morphspace.transfer.neutral import Neutral
 from morphspace.verbs import blend_avatar
+from morphspace.verbs.blend_avatar import BlendAvatarRequest
 
 FACEFRAME = FaceFrame((20.0, 30.0), (44.0, 30.0), (32.0, 50.0))
 ELSEWHERE = FaceFrame((18.0, 28.0), (44.0, 29.0), (31.0, 51.0))
@@ -79,8 +81,13 @@ def ben(model):
     return named(model, "ben", ELSEWHERE, brighter=0.1)
 
 
+def settings_of(**changes):
+    """Give the settings of a blend as the verb has them, but for some."""
+    return settings_in(BlendAvatarRequest(("a", "b"), "avatar.morph", **changes), AvatarSettings)
+
+
 def blended(models, folder, **changes):
-    return result_of(blend_steps(models, AvatarSettings(**{**QUICK, **changes}), folder))
+    return result_of(blend_steps(models, settings_of(**{**QUICK, **changes}), folder))
 
 
 def test_spread_out_faces_start_at_rest_and_leave_no_face_far_from_a_chosen_one():
@@ -281,7 +288,7 @@ def looking(model, to_right):
 
 def test_who_knows_no_landmarks_is_told_where_mouths_are_matched(anna, ben):
     def said(one, other, **settings):
-        return " ".join(notes_on(studio_of([one, other], AvatarSettings(**settings)), (), 1.0))
+        return " ".join(notes_on(studio_of([one, other], settings_of(**settings)), (), 1.0))
 
     known = [with_lips(mesh_on(m), 1.0) for m in (anna, ben)]
     assert "anna, ben lack mesh points or landmarks" in said(anna, ben)
@@ -290,15 +297,15 @@ def test_who_knows_no_landmarks_is_told_where_mouths_are_matched(anna, ben):
     assert "landmarks" not in said(*known)
     assert "landmarks" not in said(anna, ben, correspondence="rest")
     assert "landmarks" not in said(anna, ben, weights=(1, 0))
-    with pytest.raises(BadInput, match="no correspondence by 'both'"):
+    with pytest.raises(BadInput, match="correspondence is 'both'; expected one of expression, rest"):
         said(anna, ben, correspondence="both")
 
 
 def test_mouths_are_matched_where_all_know_their_landmarks(anna, ben):
     models = [with_lips(anna, 1.0), with_lips(ben, 1.0)]
-    studio = studio_of(models, AvatarSettings(flow="dis"))
+    studio = studio_of(models, settings_of(flow="dis"))
     assert studio.mixer(0).match is not None
-    alone = studio_of(models, AvatarSettings(flow="dis", correspondence="rest"))
+    alone = studio_of(models, settings_of(flow="dis", correspondence="rest"))
     assert alone.mixer(0).match is None
     assert studio.identity() != alone.identity()  # kept blends of the one are not the other's
 
@@ -306,7 +313,7 @@ def test_mouths_are_matched_where_all_know_their_landmarks(anna, ben):
 def test_people_who_look_in_different_directions_are_told(anna, ben):
     said = []
     for to_right in (0.4, 2.0):  # px of 10
-        studio = studio_of([looking(anna, 0), looking(ben, to_right)], AvatarSettings())
+        studio = studio_of([looking(anna, 0), looking(ben, to_right)], settings_of())
         said.append(" ".join(notes_on(studio, (), 1.0)))
     assert "different directions" not in said[0]
     assert (
@@ -373,7 +380,7 @@ def test_the_keypoints_of_a_blend_say_that_they_come_from_the_blend(anna, ben, t
 
 
 def test_an_identity_that_is_left_out_is_named_with_its_count(anna, ben):
-    studio = studio_of([anna, ben], AvatarSettings())
+    studio = studio_of([anna, ben], settings_of())
     expressions = [
         Expression(
             0, f"f{place}", f"anna_f{place}", np.array([1.0, 0.0] if place < 4 else [0.5, 0.5]), np.ones(2)
@@ -425,33 +432,33 @@ def test_other_settings_blend_anew(anna, ben, tmp_path):
         ({"weights": (1, 2, 3)}, "3 weights do not fit 2 models"),
         ({"weights": (0, 0)}, "sum to 0"),
         ({"weights": (1, -1)}, "at least 0"),
-        ({"weights": (1, float("nan"))}, "finite"),
+        ({"weights": (1, float("nan"))}, "a list of numbers"),
         ({"weights": (1e308, 1e308)}, "more than a number can hold"),
         ({"method": "magic"}, "magic"),
-        ({"max_sd": 0.0}, "bound"),
-        ({"max_sd": float("inf")}, "bound"),
+        ({"max_sd": 0.0}, "max_sd is 0.0; expected a number from 0.001 to 1,000"),
+        ({"max_sd": float("inf")}, "max_sd"),
         ({"expressions": 0}, "expressions"),
-        ({"sharpen": -1.0}, "sharpening"),
-        ({"sharpen": float("nan")}, "sharpening"),
-        ({"sharpen": 3.1}, "0 to 3"),
+        ({"sharpen": -1.0}, "sharpen"),
+        ({"sharpen": float("nan")}, "sharpen"),
+        ({"sharpen": 3.1}, "from 0 to 3"),
         ({"components": 0}, "components"),
         ({"flow": "magic"}, "magic"),
     ],
 )
 def test_settings_that_cannot_be_meant_are_refused(changes, word):
     with pytest.raises(BadInput, match=word):
-        check_settings(AvatarSettings(**changes), 2)
+        shares_of(settings_of(**changes).weights, 2)
 
 
 @pytest.mark.parametrize("role", ["faceframe", "reference", "surround"])
 def test_an_identity_that_is_not_there_is_named_with_those_that_are(anna, ben, role):
     with pytest.raises(BadInput, match=r"carl.*anna, ben"):
-        studio_of([anna, ben], AvatarSettings(**{role: "carl"}))
+        studio_of([anna, ben], settings_of(**{role: "carl"}))
 
 
 def test_an_identity_without_weight_cannot_lend_its_face(anna, ben):
     with pytest.raises(BadInput, match="ben has the weight 0"):
-        studio_of([anna, ben], AvatarSettings(weights=(1, 0), surround="ben"))
+        studio_of([anna, ben], settings_of(weights=(1, 0), surround="ben"))
 
 
 def test_models_that_cannot_be_blended_are_refused(anna, ben, model):
@@ -462,7 +469,7 @@ def test_models_that_cannot_be_blended_are_refused(anna, ben, model):
         ([anna, ben.truncate(0)], "0 components"),
     ):
         with pytest.raises(BadInput, match=word):
-            studio_of(models, AvatarSettings())
+            studio_of(models, settings_of())
 
 
 def test_the_same_person_twice_is_told(anna, model, tmp_path):
@@ -535,7 +542,7 @@ def test_numbers_that_are_not_finite_are_refused(anna, ben):
     components[1, -5] = np.nan
     broken = replace(ben, basis=replace(ben.basis, components=components))
     with pytest.raises(BadInput, match="ben holds numbers that are not finite"):
-        studio_of([anna, broken], AvatarSettings())
+        studio_of([anna, broken], settings_of())
 
 
 def test_a_version_that_goes_nowhere_is_refused_not_drawn(mixer, anna):

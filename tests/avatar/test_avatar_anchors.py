@@ -14,13 +14,20 @@ from morphspace.avatar.prepared import studio_of
 from morphspace.avatar.sharpness import curve
 from morphspace.avatar.versions import Cast, Version, believed
 from morphspace.avatar.visible import inside_outline, skin_share
+from morphspace.requests import settings_in
 from morphspace.steps import result_of
+from morphspace.verbs.blend_avatar import BlendAvatarRequest
+
+
+def settings_of(**changes):
+    """Give the settings of a blend as the verb has them, but for some."""
+    return settings_in(BlendAvatarRequest(("a", "b"), "avatar.morph", **changes), AvatarSettings)
 
 
 @pytest.fixture(scope="module")
 def figures(drawn_anna, drawn_ben):
     anna, ben = drawn_anna.model, drawn_ben.model
-    studio = studio_of([anna, ben], AvatarSettings(expressions=6, flow="dis", components=4, weights=(3, 1)))
+    studio = studio_of([anna, ben], settings_of(expressions=6, flow="dis", components=4, weights=(3, 1)))
     mixer, versions = studio.mixer(1), studio.versions(1, 4)
     blend = mixer.blended(versions)
     added = blend.texture - mixer.mean.texture
@@ -95,7 +102,7 @@ def test_less_than_a_tenth_of_belief_is_none(drawn_anna, plausibility, counts):
 def test_a_finished_avatar_is_about_as_sharp_as_its_sources(drawn_anna, drawn_ben, tmp_path, monkeypatch):
     """The amount of sharpening and what it leaves. KEPT / 10: 1.109, 908; DRAWN / 10: 884; PIXEL_AVERAGES: 649."""
     monkeypatch.setenv("MORPHSPACE_MODELS", str(tmp_path))
-    settings = AvatarSettings(expressions=4, flow="dis", components=4)
+    settings = settings_of(expressions=4, flow="dis", components=4)
     avatar = result_of(blend_steps([drawn_anna.model, drawn_ben.model], settings, tmp_path / "work"))
     assert avatar.sharpen == pytest.approx(1.0102, abs=0.005)
     figures = avatar.figures["sharpness"]

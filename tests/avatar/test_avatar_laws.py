@@ -21,9 +21,11 @@ from morphspace.linear.quality import psnr_db
 from morphspace.model.encode import framed_for
 from morphspace.model.model import load_model
 from morphspace.notebook import build
+from morphspace.requests import settings_in
 from morphspace.steps import result_of
 from morphspace.synthetic import Expression, Identity
 from morphspace.synthetic.drawn import drawn_actor
+from morphspace.verbs.blend_avatar import BlendAvatarRequest
 
 pytestmark = pytest.mark.slow  # they build models
 
@@ -68,6 +70,11 @@ def _model(name, seed, folder):
     )
 
 
+def settings_of(**changes):
+    """Give the settings of a blend as the verb has them, but for some."""
+    return settings_in(BlendAvatarRequest(("a", "b"), "avatar.morph", **changes), AvatarSettings)
+
+
 @pytest.fixture(scope="module")
 def blended(models, tmp_path_factory):
     """Give the function that blends actors by name, each way once."""
@@ -76,7 +83,7 @@ def blended(models, tmp_path_factory):
     def blend(*names, **changes):
         key = (names, tuple(sorted(changes.items())))
         if key not in kept:
-            settings = AvatarSettings(
+            settings = settings_of(
                 **{"expressions": 3, "flow": "dis", "sharpen": 0.0, "components": 6, **changes}
             )
             folder = tmp_path_factory.mktemp("blend")
@@ -174,7 +181,7 @@ def test_pixel_average_is_the_weighted_mean_of_the_versions(blended):
 
 
 def test_a_second_run_in_the_same_folder_gives_the_same_bytes(models, tmp_path):
-    settings = AvatarSettings(expressions=2, flow="dis", components=4)
+    settings = settings_of(expressions=2, flow="dis", components=4)
     pair = [models["anna"], models["ben"]]
     paths = []
     for run in range(2):
@@ -192,7 +199,7 @@ def test_with_clips_the_frames_themselves_are_blended(models, folders, tmp_path)
     """A model of few components draws a frame less well than the frame itself, taken apart and put together."""
     pair = [models["anna"].truncate(2), models["ben"].truncate(2)]
     clips = [framed_for(models[name], (str(folders[name]),), None) for name in ("anna", "ben")]
-    settings = AvatarSettings(weights=(1.0, 0.0), expressions=4, flow="dis", sharpen=0.0, components=4)
+    settings = settings_of(weights=(1.0, 0.0), expressions=4, flow="dis", sharpen=0.0, components=4)
     drawn = result_of(blend_steps(pair, settings, tmp_path))
     taken = result_of(blend_steps(pair, replace(settings, clips=clips), tmp_path))
     assert [one.name for one in taken.expressions] == [one.name for one in drawn.expressions]
@@ -209,9 +216,9 @@ def test_a_clip_must_be_the_one_its_model_was_built_from(models, folders, tmp_pa
     pair = [models["anna"], models["ben"]]
     swapped = [framed_for(models["anna"], (str(folders[name]),), None) for name in ("ben", "anna")]
     with pytest.raises(BadInput, match=r"f00 of the clip .* is not the one the model of anna"):
-        result_of(blend_steps(pair, AvatarSettings(clips=swapped), tmp_path / "work"))
+        result_of(blend_steps(pair, replace(settings_of(), clips=swapped), tmp_path / "work"))
     with pytest.raises(BadInput, match="1 clips do not fit 2 models"):
-        result_of(blend_steps(pair, AvatarSettings(clips=swapped[:1]), tmp_path / "work"))
+        result_of(blend_steps(pair, replace(settings_of(), clips=swapped[:1]), tmp_path / "work"))
     assert not (tmp_path / "work").exists()
 
 

@@ -1,7 +1,9 @@
 """The functions for a notebook: docs/notebook.md runs, and what they return agrees with the models' own methods."""
 
+import inspect
 import re
 import runpy
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import numpy as np
@@ -9,8 +11,13 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 import morphspace as ms
+from morphspace import notebook
 from morphspace.errors import BadInput, ReferenceMismatch
+from morphspace.face.faceframe import FaceFrame
+from morphspace.settings import WrongSetting
 from morphspace.synthetic import make_actors
+from morphspace.transfer.mimicry import mimic
+from morphspace.transfer.neutral import neutral_of
 
 DOCUMENT = Path(__file__).parents[2] / "docs" / "notebook.md"
 
@@ -35,11 +42,11 @@ def test_a_caricature_of_gain_1_is_the_face(model):
 
 def test_gains_of_warp_and_texture_apart_give_each_pair_once(model):
     faces = model.training[0]
-    assert ms.caricature(model, faces, gains=(1.0, 2.0), warp_gain=0.5).names == (
+    assert ms.caricature(model, faces, gains=(1.0, 2.0), warp_gains=0.5).names == (
         "frame_000_w0.5_t1",
         "frame_000_w0.5_t2",
     )
-    assert len(ms.caricature(model, faces, gains=(1.0, 2.0), warp_gain=0.5, texture_gain=0.0)) == 1
+    assert len(ms.caricature(model, faces, gains=(1.0, 2.0), warp_gains=0.5, texture_gains=0.0)) == 1
 
 
 def test_a_region_that_is_none_is_refused_at_once(model):
@@ -119,3 +126,113 @@ def test_loadings_of_another_model_are_refused(model):
 def test_ends_that_make_no_line_are_refused(model, ends, line):
     with pytest.raises(BadInput, match=line):
         ms.continuum(*ends(model))
+
+
+def pair_of(model):
+    points = FaceFrame((20.0, 30.0), (44.0, 30.0), (32.0, 50.0))
+    moved = FaceFrame((18.0, 30.0), (44.0, 31.0), (32.0, 52.0))
+    return model.with_faceframe(points), model.with_faceframe(moved)
+
+
+def settings_in(function):
+    """Give the names of a function's keywords that a request declares."""
+    own = ("workers", "progress", "faces", "guide", "model")
+    return [
+        one.name
+        for one in inspect.signature(function).parameters.values()
+        if one.kind is one.KEYWORD_ONLY and one.name not in own
+    ]
+
+
+CALLS = {
+    "build": lambda model, **given: ms.build("nowhere", **given),
+    "encode": lambda model, **given: ms.encode(model, "nowhere", **given),
+    "mimic": lambda model, **given: ms.mimic(model, model, **given),
+    "blend": lambda model, **given: ms.blend(model, model, **given),
+    "caricature": lambda model, **given: ms.caricature(model, model.training, **given),
+    "trajectory": lambda model, **given: ms.trajectory(model, model.training, **given),
+    "continuum": lambda model, **given: ms.continuum(model.training[0], model.training[1], model, **given),
+}
+
+
+@pytest.mark.parametrize("name", CALLS)
+def test_every_keyword_is_a_setting_with_its_check_its_help_and_its_default(model, name):
+    function = getattr(ms, name)
+    assert settings_in(function)
+    for keyword in settings_in(function):
+        with pytest.raises(WrongSetting, match=f"^{keyword} is .*; expected "):
+            CALLS[name](model, **{keyword: object()})
+        assert f"\n    {keyword}\n        " in function.__doc__
+    with pytest.raises(
+        BadInput, match=f"size_px is no setting of {name}; expected one of {settings_in(function)[0]}"
+    ):
+        CALLS[name](model, size_px=3)
+
+
+@pytest.mark.parametrize(
+    ("call", "line"),
+    [
+        (lambda model: ms.build("nowhere"), "nowhere does not exist"),
+        (
+            lambda model: ms.build("x", components=2.5),
+            "components is 2.5; expected a whole number from 1 to 10,000",
+        ),
+        (lambda model: ms.build("x", size="axb"), "size is 'axb'; expected 2 whole numbers, such as 200x240"),
+        (lambda model: ms.load("nowhere.morph"), "nowhere.morph"),
+        (lambda model: ms.load(None), "model is None; expected a path"),
+        (lambda model: ms.encode("m.morph", "x"), "model is 'm.morph'; expected a model"),
+        (lambda model: ms.mimic(*pair_of(model), workers=0), "workers is 0; expected a whole number from 1"),
+        (lambda model: ms.mimic(*pair_of(model), "faces"), "faces is 'faces'; expected loadings"),
+        (lambda model: ms.mimic(*pair_of(model), method="guided"), "needs landmarks"),
+        (lambda model: ms.blend(model, "ben"), "model 2 is 'ben'; expected a model"),
+        (lambda model: ms.caricature(model, model.training[:0]), "caricature has nothing to draw"),
+        (lambda model: ms.caricature(model, model.training, gains=(2, 2)), "the gain 2 was given twice"),
+        (lambda model: ms.trajectory(model, operations="loop"), "0 motions"),
+        (
+            lambda model: ms.trajectory(model, model.training[:1], operations="loop"),
+            "1 frames; expected at least 2",
+        ),
+        (
+            lambda model: ms.trajectory(model, model.training, operations="loop", guide=model.training),
+            "a guide is given, but no operation takes one",
+        ),
+        (lambda model: ms.plot(3), "expected a model or loadings"),
+        (lambda model: ms.plot(model, "x"), "components is 'x'; expected a whole number"),
+    ],
+)
+def test_what_cannot_be_used_is_refused_in_one_line(model, call, line):
+    with pytest.raises(BadInput, match=re.escape(line)) as refused:
+        call(model)
+    assert "\n" not in str(refused.value)
+
+
+def test_a_single_value_stands_for_a_list_of_one(model):
+    assert ms.caricature(model, model.training[0], gains=2).names == ("frame_000_g2",)
+    (back,) = ms.trajectory(model, model.training, operations="reverse")
+    assert_allclose(back.in_raw(model).values, model.training.values[::-1])
+
+
+def test_mimicry_makes_each_face_once_and_alike_for_any_workers(model, monkeypatch):
+    source, target = pair_of(model)
+    made = []
+
+    def counted(*given, **settings):
+        show = mimic(*given, **settings)
+
+        def face(offset, loadings=None):
+            made.append(loadings)
+            return show(offset, loadings)
+
+        return face
+
+    show = mimic(source, target, "paper", neutral=neutral_of(source, target))
+    expected = [show(source.offset(row), row) for row in source.training.values]
+    monkeypatch.setattr("morphspace.sets.mimicry.mimic", counted)
+    with ThreadPoolExecutor(3) as pool:
+        for workers in (1, pool, None):
+            made.clear()
+            faces = notebook.mimic(source, target, method="paper", workers=workers)
+            assert_array_equal(faces.loadings.values, [one.loadings for one in expected])
+            for image, one in zip(faces, expected, strict=True):
+                assert_array_equal(image, np.clip(one.morph.render(), 0, 1))
+            assert len(made) == len(expected) + 1  # one more before the threads start

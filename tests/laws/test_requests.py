@@ -12,15 +12,17 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from morphspace.avatar import AvatarSettings
-from morphspace.cli.main import main
+from morphspace.cli.main import SharedRequest, main
 from morphspace.cli.options import parameters_of, request_of_words
 from morphspace.errors import BadInput
 from morphspace.model.from_clip import ClipSettings
 from morphspace.requests import all_verbs, fields_of, request_from, settings_of, verb_named, verb_names
+from morphspace.sets.imitation import MeasureSettings
 from morphspace.sets.mimicry import MimicSettings
 from morphspace.settings import Option, WrongSetting
 from morphspace.verbs.blend_avatar import BlendAvatarRequest
 from morphspace.verbs.build_model import BuildModelRequest
+from morphspace.verbs.measure_mimicry import MeasureMimicryRequest
 from morphspace.verbs.mimic import MimicRequest
 
 VERBS = list(all_verbs())
@@ -109,8 +111,8 @@ def test_a_number_at_its_limit_is_taken_and_beyond_it_is_refused(verb):
 
 @pytest.mark.parametrize("verb", VERBS, ids=lambda verb: verb.name)
 def test_every_setting_has_help_and_options_of_its_own(verb):
-    taken = ["--quiet", "--json", "--debug", "--help", "-h"]
-    for field in fields_of(verb.request):
+    taken = ["--help", "-h"]
+    for field in (*fields_of(verb.request), *fields_of(SharedRequest)):
         assert field.help, field.name
         if field.argument is None and field.spoken:
             taken += field.flags
@@ -118,19 +120,23 @@ def test_every_setting_has_help_and_options_of_its_own(verb):
     assert not verb.help.startswith(f"{verb.request.__name__}("), "a dataclass without a docstring"
 
 
+def test_a_build_inside_mimic_has_the_defaults_of_build_model():
+    defaults = {field.name: field.default for field in fields_of(BuildModelRequest) if not field.required}
+    for one in fields(ClipSettings):
+        assert one.default == defaults[one.name], one.name
+
+
 @pytest.mark.parametrize(
     ("request_type", "room"),
     [
         (BlendAvatarRequest, AvatarSettings),
-        (BuildModelRequest, ClipSettings),
         (MimicRequest, MimicSettings),
+        (MeasureMimicryRequest, MeasureSettings),
     ],
 )
-def test_a_room_and_the_request_of_its_verb_have_the_same_defaults(request_type, room):
-    defaults = {field.name: field.default for field in fields_of(request_type) if not field.required}
-    shared = [one for one in fields(room) if one.name in defaults and one.default is not MISSING]
-    for one in shared:
-        assert one.default == defaults[one.name], one.name
+def test_defaults_that_a_request_declares_are_declared_there_alone(request_type, room):
+    declared = {field.name for field in fields_of(request_type)} - {"clips"}  # opened, no longer names
+    assert [one.name for one in fields(room) if one.name in declared and one.default is not MISSING] == []
 
 
 def test_the_list_of_verbs_is_the_list_of_their_files():
