@@ -255,7 +255,7 @@ def test_a_mean_trajectory_that_was_kept_serves_as_the_guide(files, tmp_path):
         ({"operations": ("reverse", "smooth=1e-7")}, "^smooth=1e-07: a cut-off of 1e-07 Hz is too low"),
         ({"operations": ("timing",)}, "--guide"),
         ({"operations": ("caricature=2",)}, "at least 2 tables"),
-        ({"operations": ("reverse",), "guide": "frown.csv"}, "no operation uses one"),
+        ({"operations": ("reverse",), "guide": "frown.csv"}, "a guide is given, but no operation takes one"),
         ({"operations": ("splice",)}, "at least 2 tables"),
         ({"operations": ("part=1:0.5",)}, "0 frames"),
         ({"operations": ("rate=1",)}, "give a higher rate"),
