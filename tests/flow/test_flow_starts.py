@@ -6,11 +6,12 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from morphspace.errors import BadInput
 from morphspace.flow import Flow, multiscale, presets, starts
-from morphspace.flow.starts import CLEARLY, FOLD_LIMIT, HARD, better, photometric_error
+from morphspace.flow.starts import better, photometric_error
 from morphspace.grid import warp
 
 HEIGHT, WIDTH = 80, 64
 MASK = np.ones((HEIGHT, WIDTH), np.float32)
+FOLD_LIMIT, CLEARLY, HARD = 0.003, 0.98, 1.25  # as the module documents them
 
 
 @pytest.fixture

@@ -186,6 +186,21 @@ def test_of_a_long_clip_evenly_spread_frames_are_looked_at_for_the_reference(cli
     assert "of 4 frames tried" in choice.reason
 
 
+def test_the_reference_of_a_long_clip_is_one_of_120_frames(picture, make_clip, tmp_path, monkeypatch):
+    counts = []
+
+    def counting(frames, far=None):
+        counts.append(len(frames))
+        raise KeyboardInterrupt
+        yield  # a generator, as the search is
+
+    monkeypatch.setattr(build_module, "search", counting)
+    long = make_clip([picture(20, 16)] * 125)
+    with pytest.raises(KeyboardInterrupt):
+        built(long, tmp_path, replace(PLAIN, reference=None))
+    assert counts == [120]
+
+
 def test_head_movement_is_taken_out_and_kept(picture, make_clip, tmp_path):
     canvas = picture(160, 140, seed=6, sd_px=2.0)
     shifts = [(0, 0), (3, -2), (-4, 1), (2, 5)]  # px right and down; whole, so that the frames are exact
