@@ -187,6 +187,10 @@ class DrawnPerson:
     def picture(self, **actions):
         return self.actor.draw(Expression(**actions)).image
 
+    def points(self, **actions):
+        """The face points of an expression of the actor, in its picture."""
+        return mesh.FacePoints(drawn_mesh(self.actor, Expression(**actions)), 1.0)
+
     def _morph(self, shot):
         field = warp.compose(shot.displacement, self.model.mean_inverse)
         return Morph.of(warp.sample(shot.image, field), field, self.model.mean.reference_id)

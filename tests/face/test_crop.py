@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from morphspace.errors import BadInput
-from morphspace.face.crop import ABOVE, BELOW, BESIDE, CROP_FRAMES, crop_steps, head_crop
+from morphspace.face.crop import crop_steps, head_crop
 from morphspace.face.detector import Detector, detector_for
 from morphspace.face.mesh import LEFT_LIDS, PHILTRUM, POINT_COUNT, RIGHT_LIDS, FacePoints
 from morphspace.io.clips import open_clip
@@ -14,6 +14,8 @@ from morphspace.io.images import write_image
 from morphspace.steps import result_of
 
 PICTURE = (640, 480)
+ABOVE, BELOW, BESIDE = 1.95, 2.35, 1.75  # eye distances, as the module documents them
+CROP_FRAMES = 24
 
 
 def face_at(x, y, eyes_px):
