@@ -9,14 +9,17 @@ import numpy as np
 import pytest
 
 from morphspace.errors import BadInput
+from morphspace.stimuli import trajectory
 from morphspace.stimuli.continuum import Line, even_positions, given_positions
 from morphspace.stimuli.drawing import Drawing
 from morphspace.stimuli.image_statistics import image_statistics
 from morphspace.stimuli.motion_words import WORDS, operations_help
+from morphspace.stimuli.operations import Motion, operations_of, worked
 from morphspace.stimuli.plausibility import plausibility, plausible_limits_sd
+from morphspace.stimuli.sampling import drawn_sd
 from morphspace.stimuli.stepping import difference, equalised
 from morphspace.stimuli.timing import at_positions, positions_like, retimed, smoothed
-from morphspace.stimuli.trajectory import bridge, caricatured, usual_step
+from morphspace.stimuli.trajectory import averaged, bridge, caricatured, usual_step
 
 WEIGHTS = np.array([3.0, 1.0, 0.5])
 
@@ -84,8 +87,10 @@ def test_the_statistics_of_a_drawn_face(drawn_anna):
 
 def test_the_help_of_operations_is_two_columns_two_blanks_apart():
     width = max(len(word.form(name)) for name, word in WORDS.items()) + 2
-    for line in operations_help().split("\n"):
+    lines = operations_help().split("\n")
+    for line in lines:
         assert line[width - 2 : width] == "  " and line[width] != " "
+    assert 90 < max(map(len, lines)) <= 96  # HELP_WIDTH
 
 
 @pytest.mark.parametrize(("furthest_sd", "beyond"), [(3.02, ()), (3.05, (1,))])
@@ -96,8 +101,91 @@ def test_a_component_beyond_three_sd_is_marked(drawn_anna, furthest_sd, beyond):
     assert plausibility(limits, [face]).beyond == beyond
 
 
+def test_black_pictures_have_no_contrast():
+    """DARK: one blue code of 1 has a luminance of 2.2e-5 on its pixel."""
+    contrasts = []
+    for side in (4, 5):  # 1.4e-6 and 0.9e-6 over the picture
+        codes = np.zeros((side, side, 3), np.uint8)
+        codes[0, 0, 2] = 1
+        contrasts.append(image_statistics([codes])["linear"]["rms_contrast"])
+    assert contrasts[0] == pytest.approx(np.sqrt(15), rel=1e-4) and contrasts[1] is None
+
+
+def test_steps_that_never_become_even_are_given_up():
+    """PATIENCE: five rounds without improvement; ROUNDS: thirty that improve."""
+    counts = {}
+    for name, size in (("same", lambda n: 0.5), ("better", lambda n: 1 / (2 + n))):
+        calls = []
+
+        def sizes_of(positions, size=size, calls=calls):
+            calls.append(positions)
+            return np.array([1.0, 1.0 + size(len(calls))])
+
+        equalised(sizes_of, even_positions(2), even=0.0)
+        counts[name] = len(calls)
+    assert counts == {"same": 6, "better": 30}
+
+
+def test_a_mean_is_averaged_until_it_stands_still(monkeypatch):
+    """STILL: a millionth of a step; AVERAGING_ROUNDS: ten, where it does not come to a stand."""
+    ramp = np.arange(12.0)[:, None]
+    for shifts, rounds in (((0.5, 0.5 + 3e-6, 0.5 + 3.5e-6), 3), ((0.5, 0.0) * 20, 10)):
+        calls = []
+
+        def shifted(table, mean, weights, calls=calls, shifts=shifts):
+            calls.append(1)
+            return np.arange(12) - shifts[len(calls) - 1]
+
+        monkeypatch.setattr(trajectory, "positions_like", shifted)
+        averaged([ramp], np.ones(1))
+        assert len(calls) == rounds
+
+
+def changed(*motions, words, guide=None):
+    return worked(motions, operations_of(words), np.ones(1), guide)
+
+
+def wave(name="a", frames=11, rate_hz=25.0):
+    return Motion(name, np.sin(np.arange(frames))[:, None], rate_hz)
+
+
+@pytest.mark.parametrize(
+    ("ratio", "is_one"), [(1 + 5e-7, True), (1 - 5e-7, True), (1 + 2e-6, False), (1 - 2e-6, False)]
+)
+def test_rates_are_one_to_a_millionth(ratio, is_one):
+    """SAME_RATE."""
+    motions = wave(), wave("b", rate_hz=25 * ratio)
+    if is_one:
+        assert len(changed(*motions, words=["splice=0.2"])) == 1
+    else:
+        with pytest.raises(BadInput, match="one frame rate"):
+            changed(*motions, words=["splice=0.2"])
+
+
+def test_a_name_of_two_motions_has_at_most_eighty_letters():
+    """LONGEST_NAME."""
+    for size, expected in ((39, f"{'a' * 40}-{'b' * 39}"), (40, f"{'a' * 40}-and-1-more")):
+        (joined,) = changed(wave("a" * 40), wave("b" * size), words=["splice=0.2"])
+        assert joined.name == expected
+
+
+def test_a_part_is_kept_from_its_start_and_without_its_end():
+    (kept,) = changed(wave(), words=["part=0.04:0.12"])
+    assert np.array_equal(kept.loadings_sd, wave().loadings_sd[1:3]) and kept.ends == "open"
+
+
 def drawing(name="a", furthest_sd=0.0):
     return Drawing(name, np.array([[0.0, furthest_sd]]))
+
+
+def cutoff_of(sd_frames, rate_hz=25.0):
+    """The cut-off, Hz, of the discrete Gaussian of this SD: its variance is ln 2 / 2 / (1 - cos w)."""
+    return np.arccos(1 - np.log(2) / 2 / sd_frames**2) * rate_hz / (2 * np.pi)
+
+
+def joined(steps):
+    """Join two motions that stand `steps` of the longest step apart."""
+    return bridge(np.zeros((3, 1)), np.ones((3, 1)), np.ones(1), 1 / steps)
 
 
 @pytest.mark.parametrize(
@@ -112,6 +200,22 @@ def drawing(name="a", furthest_sd=0.0):
         (lambda far: drawing(furthest_sd=-far), 1000.0, 1001.0),
         (lambda gain: caricatured(motion(1), motion(2), gain, WEIGHTS), 1000.0, 1001.0),
         (lambda frames: retimed(motion(1, 11), 10 / frames), 99_999, 100_001),
+        (lambda rate: Drawing("a", np.zeros((2, 1)), frame_rate_hz=rate, suffix=".mp4"), 1000.0, 1000.5),
+        (lambda rate: changed(wave(), words=[f"rate={rate}"]), 1000, 1001),
+        (lambda rate: changed(wave(), words=[f"rate={rate}"]), 4.6, 4.5),  # two frames of 0.44 s
+        (lambda end: changed(wave(), words=[f"part=0:{end}"]), 0.05, 0.04),  # two frames
+        (lambda end: changed(wave(), words=[f"part={end}:1"]), 0.36, 0.37),
+        (lambda block: changed(wave(), words=[f"scramble-blocks={block}"]), 0.40, 0.44),
+        (lambda block: changed(wave(), words=[f"scramble-blocks={block}"]), 0.03, 0.01),
+        (lambda join: changed(wave(), words=[f"loop={join}"]), 0.0, -0.05),
+        (lambda join: changed(wave(), words=[f"loop={join}"]), 3999, 4001),
+        (lambda frames: changed(wave(frames=frames), words=["loop"]), 3, 2),
+        (lambda frames: changed(wave(frames=frames), words=["scramble-phase"]), 3, 2),
+        (lambda sd: smoothed(np.zeros((1100, 1)), cutoff_of(sd), 25.0), 1099, 1101),  # SD, of as many frames
+        (lambda sd: smoothed(np.zeros((10_500, 1)), cutoff_of(sd), 25.0), 100, 10_200),
+        (lambda hz: smoothed(wave().loadings_sd, hz, 25.0), 12.4, 12.5),
+        (joined, 1050, 10_001),
+        (lambda share: drawn_sd(np.random.default_rng(0), 1, 1, spread=1.0, max_sd=share), 0.011, 0.0099),
     ],
 )
 def test_limits_lie_where_they_are_said_to_lie(work, most, beyond):
