@@ -89,7 +89,7 @@ def forget(folder: Path) -> None:
     """Remove all results from a folder, then the folder if it is empty. Other files stay."""
     if not folder.is_dir():
         return
-    remove_unfinished(folder, SUFFIX)
+    remove_unfinished(folder, suffix=SUFFIX)
     for path in folder.iterdir():
         if NAME.fullmatch(path.name) and not path.is_dir():
             path.unlink(missing_ok=True)
@@ -107,7 +107,7 @@ def work_folder(given: Path | None, output: Path) -> Iterator[Path]:
     folder = given or output.with_name(f"{output.name}.work")
     is_new = not folder.exists()
     make_folder(folder)
-    remove_unfinished(folder, SUFFIX, abandoned=True)
+    remove_unfinished(folder, suffix=SUFFIX, abandoned=True)
     try:
         yield folder
     except BaseException:

@@ -85,20 +85,25 @@ class Faces(Sequence[Image]):
     def __iter__(self) -> Iterator[Image]:
         return (self[place] for place in range(len(self)))
 
-    def save(self, folder: Path | str) -> list[Path]:
-        """Write each face as NAME.png into a folder, and return the files.
+    def save(self, folder: Path | str, *, replace: bool = False) -> list[Path]:
+        """Write each face as NAME.png into a folder, and return the files; `replace` allows existing files to be lost.
 
         Stimuli for an experiment are better made by the verbs, which leave a sidecar beside each.
 
         Raises
         ------
         BadInput
-            If a name cannot name a file.
+            If a name cannot name a file, or a file exists.
         UnwritableFile
         """
         for name in self.names:
             check_name(name)
         files = [Path(folder) / f"{name}.png" for name in self.names]
+        there = next((file for file in files if file.exists()), None)
+        if there is not None and not replace:
+            raise BadInput(
+                f"{there} exists; expected a new name. Choose another folder, or give replace=True"
+            )
         for file, image in zip(files, self, strict=True):
             file.parent.mkdir(parents=True, exist_ok=True)
             write_image(file, image)

@@ -7,6 +7,7 @@ of the input and output files, and the versions of all computing packages.
 from __future__ import annotations
 
 import importlib.metadata
+import os
 import platform
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
@@ -18,6 +19,7 @@ from morphspace import __version__
 from morphspace.storage import digest_of_file, json_text, write_text
 
 RECORD_NAME = "record.json"
+RECORD_FORMAT = "morphspace-record"
 COMPUTING_PACKAGES = (
     "numpy",
     "scipy",
@@ -73,8 +75,13 @@ def write_record(
     name: str = RECORD_NAME,
 ) -> Path:
     """Write a record into a folder: verb, settings, inputs (name to digest), outputs and versions."""
-    digests = {path.relative_to(folder).as_posix(): digest_of_file(path) for path in sorted(outputs)}
+    digests = {relative_name(path, folder): digest_of_file(path) for path in sorted(outputs)}
     return write_record_of(folder / name, verb, settings, inputs, digests)
+
+
+def relative_name(path: Path, folder: Path) -> str:
+    """Return the path of an output as records list it: relative to the folder of the record."""
+    return Path(os.path.relpath(path, folder)).as_posix()
 
 
 def write_record_of(
@@ -86,7 +93,7 @@ def write_record_of(
 ) -> Path:
     """Write a record like `write_record`, for outputs with known digests (path relative to the folder, to digest)."""
     record = {
-        "format": "morphspace-record",
+        "format": RECORD_FORMAT,
         "version": 1,
         "verb": verb,
         "settings": dict(settings),

@@ -32,6 +32,7 @@ UNFINISHED = re.compile(r"\.(?P<stem>.{1,40})\.[a-z0-9_]{8}(?P<suffix>\.[a-z0-9]
 ABANDONED_AFTER_S = 3600  # a file is written in seconds: one unchanged for so long belongs to a killed run
 READ_BLOCK = 1 << 20  # bytes that are read at a time
 CHECK = "Check the name and the permissions"
+CONTAINER_START = b'{"__metadata__": {"morphspace": "'  # after the 8 bytes of the header's length
 DTYPES = {
     "F64": np.float64,
     "F32": np.float32,
@@ -77,7 +78,7 @@ def whole_file(path: Path) -> Iterator[Path]:
 
 
 def remove_unfinished(
-    folder: Path, *suffixes: str, stems: Collection[str] | None = None, abandoned: bool = False
+    folder: Path, *, names: Collection[str] | None = None, suffix: str | None = None, abandoned: bool = False
 ) -> None:
     """Remove the temporary files that killed runs left in a folder.
 
@@ -85,23 +86,27 @@ def remove_unfinished(
     ----------
     folder : Path
         Subfolders are not searched.
-    *suffixes : str
-        Suffixes of the unfinished files, such as ".png".
-    stems : collection of str, optional
-        Their names without suffix; any by default.
+    names : collection of str, optional
+        Names that the finished files would have; any by default.
+    suffix : str, optional
+        Suffix of the unfinished files, such as ".png"; any by default.
     abandoned : bool
         Whether to spare files that changed within the last hour, because other runs may be writing them.
     """
-    kept = None if stems is None else {stem[:KEPT_NAME] for stem in stems}
+    wanted = None if names is None else {_shortened(Path(name)) for name in names}
     for path in folder.glob(".*"):
         found = UNFINISHED.fullmatch(path.name)
-        if not found or found["suffix"] not in suffixes or path.is_dir():
+        if not found or path.is_dir() or suffix not in (None, found["suffix"]):
             continue
-        if kept is not None and found["stem"] not in kept:
+        if wanted is not None and (found["stem"], found["suffix"]) not in wanted:
             continue
         with contextlib.suppress(FileNotFoundError):  # its writer has finished
             if not abandoned or time.time() - path.stat().st_mtime > ABANDONED_AFTER_S:
                 path.unlink()
+
+
+def _shortened(path: Path) -> tuple[str, str]:
+    return path.stem[:KEPT_NAME], path.suffix
 
 
 def make_folder(folder: Path) -> None:
@@ -205,6 +210,16 @@ def write_container(path: Path, arrays: Mapping[str, AnyArray], document: Mappin
             step = max(1, READ_BLOCK // array.dtype.itemsize)
             for start in range(0, flat.size, step):
                 file.write(np.ascontiguousarray(flat[start : start + step]).data)
+
+
+def is_container_or_nothing(path: Path) -> bool:
+    """Return whether a path is free, an empty file, or a container, complete or cut short."""
+    try:
+        with path.open("rb") as file:
+            start = file.read(8 + len(CONTAINER_START))
+    except OSError:
+        return not path.exists()
+    return not start or start.startswith(CONTAINER_START, 8)
 
 
 def read_container(path: Path) -> tuple[dict[str, AnyArray], dict[str, Any]]:

@@ -23,7 +23,7 @@ from morphspace.arrays import (
     Mask,
     read_only,
 )
-from morphspace.errors import BadInput
+from morphspace.errors import BadInput, UnwritableFile
 from morphspace.face.anchor import FaceAnchor, anchor_of_build, was_anchored
 from morphspace.face.detector import MissingModels
 from morphspace.face.faceframe import FaceFrame, Frame, RegistrationKind, aligned
@@ -46,7 +46,7 @@ from morphspace.model.morph import (
     resource,
     texture_columns,
 )
-from morphspace.storage import digest_of_array, digest_of_json, write_container
+from morphspace.storage import digest_of_array, digest_of_json, is_container_or_nothing, write_container
 
 
 @dataclass(frozen=True, eq=False)
@@ -415,7 +415,14 @@ class MorphModel:
             )
 
     def save(self, path: Path | str) -> None:
-        """Write the model as a `.morph` file, completely or not at all (data_spec/model-file.md)."""
+        """Write the model as a `.morph` file, completely or not at all (data_spec/model-file.md).
+
+        Raises `UnwritableFile`, also if a file that is no model would be replaced.
+        """
+        if not is_container_or_nothing(Path(path)):
+            raise UnwritableFile(
+                f"{path} is no file of morphspace and would be replaced. Choose another name, or move it away"
+            )
         arrays, document = self._arrays(), self._document()
         write_container(Path(path), arrays, {**document, "content_sha256": content_digest(arrays, document)})
 

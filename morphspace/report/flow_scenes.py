@@ -24,9 +24,9 @@ from morphspace.io.images import read_image
 from morphspace.io.tables import write_metrics_table
 from morphspace.linear.quality import flow_errors, known_flow
 from morphspace.outcome import RECORD_NAME, Outcome, write_record
-from morphspace.sets.protect import check_file
+from morphspace.sets.protect import Output, check_file, check_origins, writing
 from morphspace.steps import Step, Steps
-from morphspace.storage import digest_of_file, make_folder
+from morphspace.storage import digest_of_file
 
 WARM_UP_PX = 64  # px a side; a first call excludes loading from the measured time
 MEAN = "mean"  # scene name of a preset's last row
@@ -92,10 +92,13 @@ def measured_scenes(
     """
     chosen = {preset: methods.named(preset, backend) for preset in presets}
     scenes, bare = find_scenes(folder)
+    guarded = None
     if output is not None:
         kept = [path for scene in scenes for path in _files(scene).values()]
-        check_file(output, ".csv", kept)
-        make_folder(output.parent)
+        check_file(output, ".csv")
+        record = output.with_name(f"{output.name}.{RECORD_NAME}")
+        guarded = Output("flow", output, (output, record), inputs=kept)
+        check_origins(guarded)
     rows: list[dict[str, Any]] = []
     for scene in scenes:
         reference, frame, truth = read_scene(scene)
@@ -113,16 +116,17 @@ def measured_scenes(
     table = [row for preset in chosen for row in with_mean([row for row in rows if row["preset"] == preset])]
     notes = (f"skipped, without a true flow: {', '.join(bare)}",) if bare else ()
     written: tuple[Path, ...] = ()
-    if output is not None:
-        write_metrics_table(output, {name: [row[name] for row in table] for name in table[0]})
+    if output is not None and guarded is not None:
         inputs = {name: digest_of_file(path) for scene in scenes for name, path in _files(scene).items()}
         settings = {
             "presets": list(chosen),
             "backend": backend,
             "scenes": [scene.name for scene in scenes],
         }
-        name = f"{output.name}.{RECORD_NAME}"
-        written = (output, write_record(output.parent, "flow", settings, inputs, [output], name))
+        with writing(guarded):
+            write_metrics_table(output, {name: [row[name] for row in table] for name in table[0]})
+            write_record(output.parent, "flow", settings, inputs, [output], record.name)
+        written = (output, record)
     return Outcome(table_lines(table), {"table": table}, notes, written)
 
 

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
-import os
 import tempfile
 import time
 from collections.abc import Iterator, Mapping
@@ -15,7 +14,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from morphspace import cache
 from morphspace.errors import BadInput
 from morphspace.io.recipes import read_recipe
 from morphspace.io.tables import write_metrics_table
@@ -25,11 +23,10 @@ from morphspace.sets.complete import complete_set, loadings_tables
 from morphspace.sets.draw import make_stimulus
 from morphspace.sets.planned import PlannedSet, keep_model
 from morphspace.sets.pool import DrawingPiece, FolderPiece, Piece, made_here, made_in_processes, threads_of
-from morphspace.sets.protect import check_set
+from morphspace.sets.protect import set_output, writing
 from morphspace.sets.recipe_plan import FOLDERS_TABLE, Planned, planned_recipe
 from morphspace.steps import Step, Steps, core_count, worker_count
 from morphspace.stimuli.drawing import PICTURE_SUFFIXES, Drawing
-from morphspace.storage import make_folder, remove_unfinished
 
 MOST_UNASKED = 100_000  # stimuli drawn without --yes: about a day, and tens of gigabytes
 MOST_PLANNED = 1_000_000  # stimuli planned by --plan without --yes: minutes, and gigabytes of memory
@@ -37,7 +34,6 @@ FEW_FRAMES = 64  # frames; fewer are drawn before other processes have started
 TRIED_FRAMES = 8  # frames drawn of a video to estimate the duration of a batch
 SHOWN_NOTES = 5  # notes on folders
 STIMULUS_SUFFIXES = (*PICTURE_SUFFIXES, *VIDEO_SUFFIXES)
-LEFT_OVER = (*STIMULUS_SUFFIXES, ".json", ".csv", ".html", cache.SUFFIX)  # suffixes of unfinished files
 TRIED_KINDS = 6  # pairs of model and file type that are tried
 
 
@@ -168,15 +164,12 @@ def estimated(batch: BatchPlan) -> Estimate:
 def write_batch(batch: BatchPlan) -> Steps[Outcome]:
     """Draw every stimulus that is not complete yet, then write manifest, loadings, page and record."""
     folder, planned = batch.output, batch.planned
-    make_folder(folder)
-    with _alone(folder):
-        read = [batch.recipe, *(path for one in planned.sets for path in one.files)]
-        tables = [name for one in planned.sets for name in one.tables]
-        tables += [*loadings_tables(planned.sets), *([FOLDERS_TABLE] if planned.folders else [])]
-        check_set(folder, [drawing for _, drawing in planned.drawings], read, tables)
+    read = [batch.recipe, *(path for one in planned.sets for path in one.files)]
+    tables = [name for one in planned.sets for name in one.tables]
+    tables += [*loadings_tables(planned.sets), *([FOLDERS_TABLE] if planned.folders else [])]
+    with writing(set_output("batch", folder, [drawing for _, drawing in planned.drawings], read, tables)):
         for one in planned.sets:
             keep_model(one)
-        _remove_left_overs(folder, planned)
         pieces = len(planned.drawings) + len(planned.folders)
         make = (
             made_here(_pieces(batch))
@@ -276,42 +269,6 @@ def _tried(planned: PlannedSet, drawing: Drawing, folder: Path) -> tuple[float, 
     made = [folder / "second" / few.file_name, folder / "second" / f"{few.name}.json"]
     count = len(few.loadings_sd)
     return seconds / count, sum(path.stat().st_size for path in made) / count
-
-
-@contextlib.contextmanager
-def _alone(folder: Path) -> Iterator[None]:
-    """Lock the folder for this batch if the system supports locks; the lock ends with the process.
-
-    Raises `BadInput` if another batch is writing into the folder.
-    """
-    try:
-        import fcntl
-    except ImportError:  # Windows
-        yield
-        return
-    handle = os.open(folder, os.O_RDONLY)
-    try:
-        try:
-            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError as error:
-            raise BadInput(
-                f"another batch is writing into {folder}. Wait until it ends, or choose another output folder"
-            ) from error
-        except OSError:  # a file system without locks
-            pass
-        yield
-    finally:
-        os.close(handle)
-
-
-def _remove_left_overs(folder: Path, planned: Planned) -> None:
-    """Remove unfinished files of a stopped batch, but only those with names of this set."""
-    stems = {Path(drawing.name).name for _, drawing in planned.drawings}
-    stems |= {"manifest", "loadings", "record", "index", Path(FOLDERS_TABLE).stem}
-    own = [folder / job.name for job in planned.folders]
-    for place in (folder, *(path for path in folder.rglob("*") if path.is_dir())):
-        is_filled = any(place.is_relative_to(one) for one in own)
-        remove_unfinished(place, *LEFT_OVER, stems=None if is_filled else stems)
 
 
 def _counted(count: int, what: str, more: str | None = None) -> str:

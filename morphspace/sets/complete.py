@@ -19,7 +19,7 @@ from morphspace.requests import VIDEO_SUFFIXES
 from morphspace.sets.draw import make_stimulus
 from morphspace.sets.manifest import Column, write_manifest
 from morphspace.sets.planned import PlannedSet, keep_model
-from morphspace.sets.protect import check_set
+from morphspace.sets.protect import set_output, writing
 from morphspace.steps import Step, Steps, in_order, worker_count
 from morphspace.stimuli.drawing import PICTURE_SUFFIXES, Drawing
 from morphspace.stimuli.image_statistics import FIGURES, SPACES
@@ -45,27 +45,27 @@ def write_set(planned: PlannedSet, folder: Path) -> Steps[Outcome]:
     BadInput
         If a file of another origin would be replaced.
     """
-    check_set(folder, planned.drawings, planned.files, tuple(planned.tables))
-    keep_model(planned)
-    head = planned.sidecar_head()
-    rows: list[dict[str, Any]] = []
-    total = len(planned.drawings)
+    with writing(set_output(planned.verb, folder, planned.drawings, planned.files, tuple(planned.tables))):
+        keep_model(planned)
+        head = planned.sidecar_head()
+        rows: list[dict[str, Any]] = []
+        total = len(planned.drawings)
 
-    def make(drawing: Drawing) -> dict[str, Any]:
-        return make_stimulus(planned.model, drawing, head, folder)
+        def make(drawing: Drawing) -> dict[str, Any]:
+            return make_stimulus(planned.model, drawing, head, folder)
 
-    stills = all(drawing.frame_rate_hz is None for drawing in planned.drawings)
-    if stills:
-        made = in_order(make, planned.drawings)
-    else:  # the frames of a video are drawn in parallel, the videos one after the other
-        made = (
-            make_stimulus(planned.model, drawing, head, folder, worker_count())
-            for drawing in planned.drawings
-        )
-    for row in made:
-        rows.append(row)
-        yield Step("draw", len(rows), total)
-    return complete_set(folder, [planned], rows, planned.verb, planned.request)
+        stills = all(drawing.frame_rate_hz is None for drawing in planned.drawings)
+        if stills:
+            made = in_order(make, planned.drawings)
+        else:  # the frames of a video are drawn in parallel, the videos one after the other
+            made = (
+                make_stimulus(planned.model, drawing, head, folder, worker_count())
+                for drawing in planned.drawings
+            )
+        for row in made:
+            rows.append(row)
+            yield Step("draw", len(rows), total)
+        return complete_set(folder, [planned], rows, planned.verb, planned.request)
 
 
 def complete_set(

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -40,7 +39,7 @@ from morphspace.model.model import MorphModel
 from morphspace.outcome import RECORD_NAME, versions, write_record
 from morphspace.report.advice.imitation import chance_words, mean_apart, size_words, strange_words
 from morphspace.report.imitation_page import MeasuredImitation, imitation_page
-from morphspace.sets.protect import VIDEO_NAME
+from morphspace.sets.mimicry import VIDEO_NAME
 from morphspace.sets.sources import FRAME_RATE_HZ
 from morphspace.steps import Step, Steps, in_order
 from morphspace.stimuli.table_checks import check_reach
@@ -110,17 +109,6 @@ class WrittenImitation:
     files: tuple[Path, ...]
 
 
-@contextmanager
-def mark_of(folder: Path) -> Iterator[None]:
-    """Mark the folder as begun; remove the mark at the end unless files of ours were left behind."""
-    try:
-        yield
-    finally:
-        if not any((folder / name).exists() for name in WRITTEN):
-            with suppress(FileNotFoundError):
-                (folder / WORK_FOLDER).rmdir()
-
-
 def written_imitation(
     folder: Path,
     model_path: Path,
@@ -176,7 +164,6 @@ def written_imitation(
     drawn_sd = b_sd + moved
     for values, source in ((a_sd, stimulus), (drawn_sd, imitation)):
         check_reach(values, source.frame_names, Path(source.name))
-    make_folder(folder / WORK_FOLDER)
     video = folder / VIDEO_NAME
     panels, pairs = yield from _drawn(model, stimulus, imitation, a_sd, drawn_sd, rate_hz, video)
     if moved.any():
@@ -248,7 +235,6 @@ def written_imitation(
         inputs |= {f"{role}/{name}": digest for name, digest in source.inputs.items()}
     written.append(page)
     written.append(write_record(folder, VERB, settings, inputs, written))
-    (folder / WORK_FOLDER).rmdir()
     return WrittenImitation(comparison, {"no_face": faceless, **entries}, still, tuple(notes), tuple(written))
 
 

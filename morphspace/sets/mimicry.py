@@ -8,7 +8,7 @@ pictures.
 from __future__ import annotations
 
 from collections.abc import Generator, Iterator, Mapping, Sequence
-from contextlib import closing, contextmanager
+from contextlib import closing
 from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any, Literal, cast
@@ -26,22 +26,15 @@ from morphspace.io.video import write_video
 from morphspace.model.encode import energy_outside, first_components
 from morphspace.model.keypoints import how_to_learn
 from morphspace.model.model import MorphModel
-from morphspace.outcome import versions, write_record
+from morphspace.outcome import RECORD_NAME, versions, write_record
 from morphspace.report.advice import mimicry as advice
 from morphspace.report.mimic_page import PAIRS_SHOWN, MimicryResult, mimic_page
 from morphspace.report.set_page import CLIPPED_PERCENT
 from morphspace.sets.models import check_landmarks
-from morphspace.sets.protect import (
-    MIMIC_FRAMES,
-    VIDEO_NAME,
-    WORK_FOLDER,
-    check_apart,
-    check_inputs,
-    remove_unfinished,
-)
+from morphspace.sets.protect import Output, check_apart, check_inputs
 from morphspace.sets.sources import FRAME_RATE_HZ
 from morphspace.steps import Step, Steps, in_order
-from morphspace.storage import digest_of_file, make_folder, write_text
+from morphspace.storage import digest_of_file, make_folder, remove_unfinished, write_text
 from morphspace.transfer.driver import Driver, UsedModel
 from morphspace.transfer.mimicry import (
     METHODS,
@@ -56,8 +49,20 @@ from morphspace.transfer.quality import Quality, Reach, ReachOf, reach_of
 from morphspace.transfer.quality_table import FaceSeen, FrameMade, made_of, quality_columns, write_quality
 
 BEST = "auto"  # the most accurate method that the models allow
+MIMIC_FRAMES = "frames"
+VIDEO_NAME = "side-by-side.mp4"
+MIMIC_FILES = (
+    MIMIC_FRAMES,
+    VIDEO_NAME,
+    "loadings.csv",
+    "loadings.json",
+    "quality.csv",
+    "quality.json",
+    "index.html",
+    RECORD_NAME,
+)
+WORK_FOLDER = "mimic.work"  # finished frames of a stopped run
 WORK_FORMAT = "morphspace-mimic-frame-4"
-MARK_NAME = "begun"  # marks the folder as ours before the first picture is written
 GAP_PX = 4  # between the panels of the video
 THUMBNAIL_WIDTH_PX = 132
 
@@ -87,24 +92,14 @@ class FinishedFrames:
     def write(self, place: int, made: FrameMade) -> None:
         cache.write_result(self.file(place), {}, made.document())
 
-    @contextmanager
-    def begun(self) -> Iterator[None]:
-        """Mark the folder before the first picture, and remove the mark if the block ends without one.
-
-        A failed or stopped run resumes in a folder with the mark (`protect.check_ours`).
-        """
-        mark = self.folder / MARK_NAME
-        write_text(mark, "")
-        try:
-            yield
-        finally:
-            if not any(picture.exists() for picture in self.pictures):
-                mark.unlink(missing_ok=True)
-
     def remove(self) -> None:
         """Remove finished frames and rows of this request and of earlier stopped ones."""
-        (self.folder / MARK_NAME).unlink(missing_ok=True)
         cache.forget(self.folder)
+
+
+def output_of(folder: Path, inputs: Sequence[Path] = ()) -> Output:
+    """Return what a mimicry writes into a folder; `inputs` are files that must not be replaced."""
+    return Output("mimic", folder, [folder / name for name in MIMIC_FILES], inputs=inputs)
 
 
 def frame_steps(
@@ -146,7 +141,7 @@ def frame_steps(
         Generator[tuple[int, FrameMade]],
         in_order(one_frame, zip(missing, driver.given(missing), strict=True)),
     )
-    with work.begun(), closing(under_way):  # the threads end before the folder is inspected
+    with closing(under_way):  # the threads end before the folder is inspected
         for place, one in under_way:
             work.write(place, one)
             made[place] = one
@@ -299,7 +294,7 @@ def written_mimicry(
     check_apart(folder, driver.files)
     check_inputs((*pictures, video), [*driver.files, *inputs])
     make_folder(folder / MIMIC_FRAMES)
-    remove_unfinished(folder)
+    remove_unfinished(folder / WORK_FOLDER)
     drive = drive_of(source, target, asked)
     looks = advice.looks_for_faces(driver, source.model, target.model, detector)
     settings = {

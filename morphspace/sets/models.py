@@ -25,7 +25,7 @@ from morphspace.report.advice.build import Case
 from morphspace.report.build_page import write_build_page
 from morphspace.report.frames import measure_frames
 from morphspace.steps import Step, Steps, spread
-from morphspace.storage import digest_of_file, make_folder
+from morphspace.storage import digest_of_file, make_folder, remove_unfinished
 from morphspace.transfer.driver import UsedModel
 
 MODEL_SUFFIX = ".morph"
@@ -140,9 +140,11 @@ def ready_model(
     if model is None:
         work = folder / f"{path.name}.work"
         settings = ClipSettings(components=asked)
+        report = path.with_suffix(".html")
         make_folder(folder)
+        remove_unfinished(folder, names=(path.name, report.name))
         with work_folder(work, path):
-            yield from written_model(given, settings, path, path.with_suffix(".html"), work)
+            yield from written_model(given, settings, path, report, work)
         shutil.rmtree(work, ignore_errors=True)
         model = load_model(path)
     if model.faceframe is None:

@@ -1,34 +1,40 @@
-"""Protect files in an output folder: a verb replaces only its own earlier files, never an input (ours)."""
+"""Protect files at an output: ONE guard decides what a verb may overwrite, and keeps two runs apart (ours).
+
+A verb writes inside `writing`. The guard refuses to replace an input or a file that no earlier run of the verb wrote,
+locks the output for this run, and marks it as begun. A stopped run leaves the mark, so that the next one recognises
+its files. A finished run leaves its record, sidecars or pages, by which its files are recognised.
+"""
 
 from __future__ import annotations
 
 import contextlib
 import dataclasses
+import functools
 import glob
 import os
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from morphspace import storage
-from morphspace.cache import SUFFIX
-from morphspace.errors import BadInput, MorphspaceError, UnreadableFile
+from morphspace.errors import BadInput, MorphspaceError, UnreadableFile, UnwritableFile
 from morphspace.io.clips import FRAMES_FOLDER, SIDECAR_NAME, VIDEO_SUFFIXES
 from morphspace.io.sidecars import read_json_object
 from morphspace.io.stimulus_sidecars import STIMULUS_FORMAT, essentials_in
-from morphspace.outcome import RECORD_NAME
-from morphspace.sets.manifest import MANIFEST_FORMAT
+from morphspace.io.tables import LOADINGS_FORMAT
+from morphspace.outcome import RECORD_FORMAT, RECORD_NAME, relative_name
 from morphspace.stimuli.drawing import Drawing
-from morphspace.storage import digest_of_file, make_folder
+from morphspace.storage import is_container_or_nothing, make_folder
 
-RECORD_FORMAT = "morphspace-record"
 TABLE_SUFFIX = ".csv"
 LONGEST_NAME_BYTES = 200  # bytes of the 255 of a file system; records and unfinished files have longer names
 FOLDER_FIELDS = ("clip", "first", "last")  # request fields in which a folder is a clip
 SIDECAR_START = '{\n  "consent": '  # keys are sorted, and this key comes first in every sidecar
-OWN_FILES = (
+MANIFEST_NAME = "manifest.json"
+SET_FILES = (
     "manifest.csv",
-    "manifest.json",
+    MANIFEST_NAME,
     "loadings.csv",
     "loadings.json",
     "colour_loadings.csv",
@@ -36,24 +42,238 @@ OWN_FILES = (
     "index.html",
     RECORD_NAME,
 )
-MIMIC_FRAMES = "frames"
 MODELS_FOLDER = "models"  # models built from clips
-WORK_FOLDER = "mimic.work"  # finished frames of a stopped run
-VIDEO_NAME = "side-by-side.mp4"
-MIMIC_FILES = (
-    MIMIC_FRAMES,
-    VIDEO_NAME,
-    "loadings.csv",
-    "loadings.json",
-    "quality.csv",
-    "quality.json",
-    "index.html",
-    RECORD_NAME,
-)
+MARK_NAME = ".writing.json"
+MARK_FORMAT = "morphspace-writing"
+SYSTEM_FILES = ("thumbs.db", "desktop.ini")  # written by file managers, like all names that begin with a dot
+PAGE_FOOTER = b"<footer>Written by morphspace."
+END_BYTES = 4096  # bytes at the end of a page that hold its footer
 
 
-def check_file(path: Path, suffix: str, kept: Iterable[Path] = ()) -> None:
-    """Check the suffix of an output, and that it is neither a folder nor one of the files to be `kept`."""
+@dataclass(frozen=True, eq=False)
+class Output:
+    """Everything that a run of a verb writes.
+
+    Attributes
+    ----------
+    verb : str
+    place : Path
+        The output folder, or the main output file if it is one of `files` or `stimuli`.
+    files : sequence of Path
+        Files with fixed names. A folder among them belongs to the verb with all its content.
+    stimuli : sequence of (Path, Path)
+        Stimuli with their sidecars, by which each is recognised.
+    inputs : collection of Path
+        Files that are read and must not be replaced.
+    """
+
+    verb: str
+    place: Path
+    files: Sequence[Path]
+    stimuli: Sequence[tuple[Path, Path]] = ()
+    inputs: Collection[Path] = ()
+
+    @functools.cached_property
+    def is_folder(self) -> bool:
+        """Return whether the output is a folder rather than a named file."""
+        return self.place not in self.files and all(self.place not in pair for pair in self.stimuli)
+
+    @property
+    def written(self) -> tuple[Path, ...]:
+        """Return all files and folders that are written."""
+        return (*self.files, *(path for pair in self.stimuli for path in pair))
+
+    @property
+    def folder(self) -> Path:
+        """Return the folder that holds the mark."""
+        return self.place if self.is_folder else self.place.parent
+
+    @property
+    def mark(self) -> Path:
+        """Return the file that marks the output while it is written."""
+        return self.folder / (MARK_NAME if self.is_folder else f".{self.place.name}{MARK_NAME}")
+
+    @property
+    def record(self) -> Path:
+        """Return the record of a finished run."""
+        return self.folder / (RECORD_NAME if self.is_folder else f"{self.place.name}.{RECORD_NAME}")
+
+
+@contextlib.contextmanager
+def writing(output: Output) -> Iterator[None]:
+    """Guard an output for the duration of the block that writes it.
+
+    Before the block, unfinished files of killed runs are removed. If the block fails before it finished a file, the
+    folders that it made are removed.
+
+    Raises
+    ------
+    BadInput
+        If the output would replace an input or a file of another origin, or another run is writing it.
+    UnwritableFile
+        If the folder cannot be made or written.
+    """
+    check_inputs(output.written, output.inputs)
+    before = _folders(output)
+    try:
+        inner = () if output.is_folder else (path.parent for path in output.written)
+        for folder in dict.fromkeys((output.folder, *inner)):
+            make_folder(folder)
+        with _locked(output) as mark:
+            begun = check_origins(output)
+            _remove_unfinished(output)
+            mark.write(output, begun)
+            try:
+                yield
+            except BaseException:
+                if not begun and all(_is_recognised(path, output, ()) for path in _there(output)):
+                    mark.remove()
+                raise
+            mark.remove()
+    finally:
+        _remove_empty(output, before)
+
+
+def set_output(
+    verb: str,
+    folder: Path,
+    drawings: Sequence[Drawing],
+    inputs: Collection[Path] = (),
+    tables: Collection[str] = (),
+) -> Output:
+    """Return the output of a set of stimuli; `tables` are its own tables beside the usual files."""
+    stimuli = [(folder / drawing.file_name, folder / f"{drawing.name}.json") for drawing in drawings]
+    return Output(
+        verb, folder, [folder / name for name in dict.fromkeys((*SET_FILES, *tables))], stimuli, inputs
+    )
+
+
+# What exists, and whose it is.
+
+
+def _there(output: Output) -> Iterator[Path]:
+    """Yield what exists under names of the output, unless it is empty."""
+    for path in output.files:
+        if path.is_dir() and not path.is_symlink():
+            if any(_is_content(one) for one in path.iterdir()):
+                yield path
+        elif _holds(path):
+            yield path
+
+
+def _holds(path: Path) -> bool:
+    """Return whether something that could be lost has this name: a folder, a link, or a file that is not empty."""
+    return path.is_symlink() or path.is_dir() or (path.exists() and path.stat().st_size > 0)
+
+
+def _is_content(path: Path) -> bool:
+    return not (path.name.startswith(".") or path.name.lower() in SYSTEM_FILES)
+
+
+def check_origins(output: Output) -> frozenset[str]:
+    """Check that everything that would be replaced was written by an earlier run; return the names of a stopped run.
+
+    Raises `BadInput` otherwise.
+    """
+    begun = _begun(_object(output.mark), output)
+    for path in _there(output):
+        if not _is_recognised(path, output, begun):
+            _refuse(path, output.verb)
+    for picture, sidecar in output.stimuli:
+        for path in (picture, sidecar):
+            if path.is_dir():
+                _refuse(path, output.verb)
+        if _holds(sidecar):
+            if not _is_sidecar(sidecar) and not _is_stimulus(picture):
+                _refuse(sidecar, output.verb)
+        elif _holds(picture) and not _is_stimulus(picture):
+            _refuse(picture, output.verb)
+    return begun
+
+
+def _refuse(path: Path, verb: str) -> None:
+    what = "a folder" if path.is_dir() else "a file"
+    lost = "its content mixed with new files" if path.is_dir() else "replaced"
+    raise BadInput(
+        f"{path} is {what} that no earlier {verb} wrote, and would be {lost}. Choose another output, or move "
+        f"{path.name} away"
+    )
+
+
+def _is_recognised(path: Path, output: Output, begun: Collection[str]) -> bool:
+    """Return whether an earlier run wrote the file: by mark and record, and a single file also by its content."""
+    name = relative_name(path, output.folder)
+    if name in begun:
+        return True
+    record = _object(output.record)
+    listed = record.get("outputs")
+    if record.get("format") == RECORD_FORMAT and isinstance(listed, Mapping):
+        is_set = MANIFEST_NAME in listed and output.folder / MANIFEST_NAME in output.files
+        if record.get("verb") == output.verb or is_set:
+            if path == output.record or name in listed:
+                return True
+            if path.is_dir() and any(str(one).startswith(f"{name}/") for one in listed):
+                return True
+    return not output.is_folder and path.is_file() and _is_own_format(path)
+
+
+def _is_own_format(path: Path) -> bool:
+    """Return whether the content of a file shows that morphspace wrote it."""
+    suffix = path.suffix.lower()
+    if suffix == TABLE_SUFFIX:
+        return _object(path.with_suffix(".json")).get("format") == LOADINGS_FORMAT
+    if suffix == ".json":
+        return _object(path).get("format") in (LOADINGS_FORMAT, RECORD_FORMAT)
+    if suffix == ".html":
+        return PAGE_FOOTER in _end(path)
+    if path.name.endswith(".keypoints.png"):  # the picture beside a model with new keypoints
+        path = path.with_name(f"{path.name.removesuffix('.keypoints.png')}.morph")
+    return path.is_file() and is_container_or_nothing(path)
+
+
+def _is_stimulus(picture: Path) -> bool:
+    return picture.is_file() and essentials_in(picture) is not None
+
+
+def _is_sidecar(path: Path) -> bool:
+    """Return whether a file is a stimulus' sidecar, complete or cut short."""
+    return _object(path).get("format") == STIMULUS_FORMAT or _start(path).startswith(SIDECAR_START.encode())
+
+
+def _start(path: Path) -> bytes:
+    return _read(path, 0)
+
+
+def _end(path: Path) -> bytes:
+    return _read(path, max(0, path.stat().st_size - END_BYTES))
+
+
+def _read(path: Path, start: int) -> bytes:
+    try:
+        with path.open("rb") as file:
+            file.seek(start)
+            return file.read(END_BYTES)
+    except FileNotFoundError:
+        return b""
+    except OSError as error:
+        raise UnreadableFile(
+            f"cannot read {path}: {error.strerror or error}. Check the permissions"
+        ) from error
+
+
+def _object(path: Path) -> dict[str, Any]:
+    """Read a JSON object; return an empty one if the file is missing or unreadable."""
+    try:
+        return read_json_object(path)
+    except UnreadableFile:
+        return {}
+
+
+# Names and inputs, checked before any work.
+
+
+def check_file(path: Path, suffix: str) -> None:
+    """Check the name of an output file: its length and suffix, and that it is no folder. Raises `BadInput`."""
     length = len(os.fsencode(path.name))
     if length > LONGEST_NAME_BYTES:
         raise BadInput(
@@ -66,7 +286,6 @@ def check_file(path: Path, suffix: str, kept: Iterable[Path] = ()) -> None:
         )
     if path.is_dir():
         raise BadInput(f"the output {path} is a folder. Give the name of a {suffix} file")
-    check_inputs([path], tuple(kept))
 
 
 def files_named(request: Any) -> tuple[Path, ...]:
@@ -132,115 +351,129 @@ def check_apart(output: Path, inputs: Sequence[Path]) -> None:
             )
 
 
-def check_set(
-    folder: Path,
-    drawings: Sequence[Drawing],
-    inputs: Collection[Path] = (),
-    tables: Collection[str] = (),
-) -> None:
-    """Create the folder; check that it can be written and that neither inputs nor files of other origin are replaced.
-
-    `inputs` are the files read; `tables` are the names of the set's own tables beside the usual files.
-    """
-    stimuli = [(folder / drawing.file_name, folder / f"{drawing.name}.json") for drawing in drawings]
-    own = [folder / name for name in dict.fromkeys((*OWN_FILES, *tables))]
-    check_inputs([*own, *(path for pair in stimuli for path in pair)], inputs)
-    make_folder(folder)
-    for picture, sidecar in stimuli:
-        check_replaced(picture, sidecar)
-    _check_own(folder, [path for path in own if path.exists()], [sidecar for _, sidecar in stimuli])
+# The mark, which is also the lock.
 
 
-def _check_own(folder: Path, found: Sequence[Path], sidecars: Sequence[Path]) -> None:
-    """Check that existing files with names of a set belong to a set. Raises `BadInput` otherwise."""
-    if not found:
-        return
-    record, manifest = _object(folder / RECORD_NAME), _object(folder / "manifest.json")
-    listed = record.get("outputs") if record.get("format") == RECORD_FORMAT else None
-    if not isinstance(listed, Mapping):
-        listed = {}
-    unlisted = _begun(sidecars, listed, folder) or (not listed and manifest.get("format") == MANIFEST_FORMAT)
-    for path in found:
-        if path.is_dir():
-            raise BadInput(f"{path} is a folder; expected a file of the set. Choose another output folder")
-        if not (unlisted or path.name in listed or (listed and path.name == RECORD_NAME)):
-            raise BadInput(
-                f"{path} would be replaced, but is not of a stimulus set. Choose another output folder"
-            )
+@dataclass(frozen=True, eq=False)
+class _Mark:
+    path: Path
+    handle: int
+
+    def write(self, output: Output, begun: Collection[str]) -> None:
+        names = dict.fromkeys((*begun, *(relative_name(path, output.folder) for path in output.files)))
+        document = {
+            "format": MARK_FORMAT,
+            "verb": output.verb,
+            "process": os.getpid(),
+            "files": list(names),
+        }
+        text = storage.json_text(document).encode()
+        try:
+            os.lseek(self.handle, 0, os.SEEK_SET)
+            os.write(self.handle, text)
+            os.ftruncate(self.handle, len(text))
+            os.fsync(self.handle)
+        except OSError as error:
+            raise UnwritableFile(
+                f"cannot write {self.path}: {error.strerror or error}. Free space or choose another output"
+            ) from error
+
+    def remove(self) -> None:
+        self.path.unlink(missing_ok=True)
 
 
-def _begun(sidecars: Sequence[Path], listed: Mapping[str, Any], folder: Path) -> bool:
-    """Check whether an interrupted set began in this folder: it holds a stimulus that no record lists."""
-    for sidecar in sidecars:
-        if _object(sidecar).get("format") == STIMULUS_FORMAT:
-            recorded = listed.get(sidecar.relative_to(folder).as_posix())
-            if recorded != digest_of_file(sidecar):
-                return True
-    return False
+def _begun(mark: Mapping[str, Any], output: Output) -> frozenset[str]:
+    """Return the names that a stopped run of the verb has marked as its own."""
+    names = mark.get("files")
+    is_own = mark.get("format") == MARK_FORMAT and mark.get("verb") == output.verb
+    return frozenset(map(str, names)) if is_own and isinstance(names, list) else frozenset()
 
 
-def _object(path: Path) -> dict[str, Any]:
-    """Read a JSON object; return an empty one if the file is missing or unreadable."""
-    try:
-        return read_json_object(path)
-    except UnreadableFile:
-        return {}
-
-
-def check_replaced(picture: Path, sidecar: Path) -> None:
-    """Check that a stimulus and its sidecar replace only a stimulus of ours. Raises `BadInput` otherwise.
-
-    An incomplete sidecar is replaced if it, or the picture beside it, was written by us.
-    """
-    for path in (picture, sidecar):
-        if path.is_dir():
-            raise BadInput(f"{path} is a folder; expected a stimulus. Choose another output folder")
-    if sidecar.exists():
-        if _object(sidecar).get("format") == STIMULUS_FORMAT or _starts_like_ours(sidecar):
+@contextlib.contextmanager
+def _locked(output: Output) -> Iterator[_Mark]:
+    """Lock the mark for this run; the lock ends with the process. Raises `BadInput` if another run holds it."""
+    while True:
+        is_new = not output.mark.exists()
+        try:
+            handle = os.open(output.mark, os.O_RDWR | os.O_CREAT | getattr(os, "O_NOFOLLOW", 0), 0o666)
+        except OSError as error:
+            raise UnwritableFile(
+                f"cannot write {output.mark}: {error.strerror or error}. Choose another output"
+            ) from error
+        mark = _Mark(output.mark, handle)
+        try:
+            if not _is_free(handle):
+                holder = _object(output.mark)
+                who = f"{holder.get('verb', 'run')} (process {holder.get('process', 'unknown')})"
+                raise BadInput(
+                    f"another {who} is writing {output.place}. Wait until it ends, or choose another output"
+                )
+            if not _is_same(handle, output.mark):  # its last holder removed it meanwhile
+                continue
+            try:
+                yield mark
+            finally:
+                if is_new and output.mark.exists() and not os.fstat(handle).st_size:
+                    mark.remove()  # refused before it was written
             return
-        if picture.exists() and essentials_in(picture) is not None:
-            return
-        raise BadInput(
-            f"{sidecar} would be replaced, but is not a stimulus' sidecar. Delete it or choose another folder"
-        )
-    if picture.exists() and essentials_in(picture) is None:
-        raise BadInput(
-            f"{picture} would be replaced, but is not a stimulus of morphspace. Delete it or choose another folder"
-        )
+        finally:
+            os.close(handle)
 
 
-def _starts_like_ours(sidecar: Path) -> bool:
+def _is_free(handle: int) -> bool:
+    """Lock an open file if the system supports locks; return False if another process holds the lock."""
     try:
-        with sidecar.open("rb") as file:
-            return file.read(len(SIDECAR_START)) == SIDECAR_START.encode()
-    except OSError as error:
-        raise UnreadableFile(
-            f"cannot read {sidecar}: {error.strerror or error}. Check the permissions"
-        ) from error
+        import fcntl
+    except ImportError:  # Windows
+        return True
+    try:
+        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return False
+    except OSError:  # a file system without locks
+        pass
+    return True
 
 
-def check_ours(folder: Path, verb: str = "mimic", written: Sequence[str] = MIMIC_FILES) -> None:
-    """Check that all files with our names in the folder were written by a run of the verb.
-
-    A folder VERB.work marks a run that was stopped. Raises `BadInput` for a file of other origin.
-    """
-    begun = (folder / f"{verb}.work").is_dir()
-    if not folder.is_dir() or begun or _object(folder / RECORD_NAME).get("verb") == verb:
-        return
-    for name in written:
-        path = folder / name
-        if path.exists() and not (path.is_dir() and not any(path.iterdir())):
-            lost = "be mixed with the new pictures" if name == MIMIC_FRAMES else "be replaced"
-            raise BadInput(
-                f"{folder} is not the folder of an earlier {verb}, and its {name} would {lost}. Choose another output "
-                f"folder, or move {name} away"
-            )
+def _is_same(handle: int, path: Path) -> bool:
+    try:
+        return os.path.samestat(os.fstat(handle), path.stat())
+    except FileNotFoundError:
+        return False
 
 
-def remove_unfinished(folder: Path) -> None:
-    """Remove the unfinished files of a stopped run; the folder must be ours."""
-    for place in (folder, *(folder / name for name in (MIMIC_FRAMES, WORK_FOLDER, MODELS_FOLDER))):
-        storage.remove_unfinished(place, ".png", ".mp4", ".csv", ".json", ".html", ".morph", SUFFIX)
+# What killed and failed runs left.
+
+
+def _remove_unfinished(output: Output) -> None:
+    """Remove the temporary files of killed runs with names of the output, and all in the output's own folders."""
+    names: dict[Path, set[str]] = {}
+    for path in output.written:
+        if path.is_dir():
+            storage.remove_unfinished(path)
+        else:
+            names.setdefault(path.parent, set()).add(path.name)
+    for folder, here in names.items():
+        if folder.is_dir():
+            storage.remove_unfinished(folder, names=here)
+
+
+def _folders(output: Output) -> set[Path]:
+    """Return the existing folders of an output: its own and its subfolders, those of its files, and all parents."""
+    places = {output.folder, *(path.parent for path in output.written)}
+    there = {one for place in places for one in (place, *place.parents)}
+    if output.is_folder and output.folder.is_dir():
+        there |= {one for one in output.folder.iterdir() if one.is_dir()}
+    return {one for one in there if one.is_dir()}
+
+
+def _remove_empty(output: Output, before: Collection[Path]) -> None:
+    """Remove the empty folders that a run made."""
+    made = _folders(output) - set(before)
+    made |= {Path(inner) for place in made for inner, _, _ in os.walk(place)}
+    for path in sorted(made, key=lambda path: len(path.parts), reverse=True):
+        with contextlib.suppress(OSError):  # it holds files
+            path.rmdir()
 
 
 @contextlib.contextmanager
@@ -263,19 +496,3 @@ def _models(folder: Path) -> list[Path]:
     """List the models, and the work folders of begun models."""
     place = folder / MODELS_FOLDER
     return sorted(path for kind in ("*.morph", "*.morph.work") for path in place.glob(kind))
-
-
-@contextlib.contextmanager
-def no_empty_folders(
-    folder: Path, inner: Sequence[str] = (MIMIC_FRAMES, WORK_FOLDER, MODELS_FOLDER)
-) -> Iterator[None]:
-    """Remove, at the end of the block, the empty folders that it created: `inner` ones, the folder and its parents."""
-    places = [folder / name for name in inner]
-    made = [path for path in (*places, folder, *folder.parents) if not path.exists()]
-    begun = folder / MODELS_FOLDER
-    try:
-        yield
-    finally:
-        for path in (*begun.glob("*.morph.work"), *made):
-            if path.is_dir() and not any(path.iterdir()):
-                path.rmdir()

@@ -6,7 +6,7 @@ comes with the exact displacement field from the neutral face, visibility, keypo
 """
 
 from morphspace.synthetic.actor import Actor, ActorFrame
-from morphspace.synthetic.clips import ClipPiece, Truth, make_actors, read_truth
+from morphspace.synthetic.clips import ClipPiece, Truth, actor_names, make_actors, read_truth
 from morphspace.synthetic.drawn import DEFAULT_SIZE, draw_actor_frame, drawn_actor
 from morphspace.synthetic.painting import LABELS
 from morphspace.synthetic.parameters import ACTIONS, Capture, Expression, Identity
@@ -33,6 +33,7 @@ __all__ = [
     "Identity",
     "PortraitMarks",
     "Truth",
+    "actor_names",
     "actor_of_photograph",
     "astronaut_face",
     "capture_sequence",

@@ -53,6 +53,22 @@ class Truth:
     document: dict[str, Any]
 
 
+def actor_names(identities: int, portraits: int = 0) -> tuple[str, ...]:
+    """Return the names of drawn people and animated photographs. Raises `BadInput` unless there is one (ours).
+
+    Examples
+    --------
+    >>> actor_names(2, 1)
+    ('actor_01', 'actor_02', 'portrait')
+    """
+    if identities < 0 or portraits < 0 or identities + portraits < 1:
+        raise BadInput(
+            f"{identities} identities and {portraits} portraits were given; expected at least one. Give a number"
+        )
+    drawn = (f"actor_{k + 1:02d}" for k in range(identities))
+    return (*drawn, *(PORTRAIT_NAME if k == 0 else f"{PORTRAIT_NAME}_{k + 1:02d}" for k in range(portraits)))
+
+
 def make_actors(
     directory: Path,
     *,
@@ -72,13 +88,10 @@ def make_actors(
     `capture_sequence`. Gives a `ClipPiece` after each frame. The same arguments write the same bytes. Raises
     `BadInput` for counts that make no clip, `UnwritableFile` where the folder refuses. Ours.
     """
-    if identities < 0 or portrait < 0 or identities + portrait < 1:
-        raise BadInput(f"{identities} identities and {portrait} portraits make no clip: ask for at least one")
+    names = actor_names(identities, portrait)
     if frames < 1:
-        raise BadInput(f"{frames} frames make no clip: ask for at least one")
+        raise BadInput(f"{frames} frames were given; expected at least one. Give a number")
     directory = Path(directory)
-    names = [f"actor_{k + 1:02d}" for k in range(identities)]
-    names += [PORTRAIT_NAME if k == 0 else f"{PORTRAIT_NAME}_{k + 1:02d}" for k in range(portrait)]
     for k, name in enumerate(names):
         rng = np.random.default_rng([seed, k])
         if k < identities:

@@ -125,8 +125,8 @@ def run(request: BlendAvatarRequest) -> Steps[Outcome]:
     from morphspace.model.model import load_model
     from morphspace.report.avatar_page import avatar_page, avatar_result, landmark_words
     from morphspace.sets.models import held_models
-    from morphspace.sets.protect import check_file
-    from morphspace.storage import digest_of_file, make_folder, write_text
+    from morphspace.sets.protect import Output, check_file, writing
+    from morphspace.storage import digest_of_file, write_text
 
     paths = [Path(given) for given in request.models]
     if not request.output.name:
@@ -134,16 +134,15 @@ def run(request: BlendAvatarRequest) -> Steps[Outcome]:
             f"the output {request.output} is a folder. Give a file to write, such as avatar{SUFFIX}"
         )
     report = request.report or request.output.with_suffix(".html")
-    check_file(request.output, SUFFIX, paths)
-    check_file(report, ".html", paths)
+    check_file(request.output, SUFFIX)
+    check_file(report, ".html")
+    guarded = Output("blend-avatar", request.output, (request.output, report), inputs=paths)
     with held_models(paths) as held:
         models = [load_model(path) for path in held]
         settings, missing = blend_settings(request, models)
         checked(models, settings)  # before any folder is made
-        make_folder(request.output.parent)
-        make_folder(report.parent)
         digests = [digest_of_file(path) for path in held]
-        with work_folder(request.work_folder, request.output) as folder:
+        with writing(guarded), work_folder(request.work_folder, request.output) as folder:
             avatar = yield from blend_steps(models, settings, folder)
             result = yield from avatar_result(avatar, models, settings)
             avatar.model.save(request.output)

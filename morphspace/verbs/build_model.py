@@ -87,18 +87,16 @@ def run(request: BuildModelRequest) -> Steps[Outcome]:
     from morphspace.outcome import Outcome
     from morphspace.report.advice.build import advice_for
     from morphspace.sets.models import written_model
-    from morphspace.sets.protect import check_file
-    from morphspace.storage import make_folder
+    from morphspace.sets.protect import Output, check_file, writing
 
     settings = settings_in(request, ClipSettings)
     clip = open_clip(request.sources)
     output = request.output or Path(f"{clip.name}.morph")
     report = request.report or output.with_suffix(".html")
-    check_file(output, ".morph", clip.paths)
-    check_file(report, ".html", clip.paths)
-    make_folder(output.parent)
-    make_folder(report.parent)
-    with cache.work_folder(request.work_folder, output) as work_folder:
+    check_file(output, ".morph")
+    check_file(report, ".html")
+    guarded = Output("build-model", output, (output, report), inputs=clip.paths)
+    with writing(guarded), cache.work_folder(request.work_folder, output) as work_folder:
         made = yield from written_model(clip, settings, output, report, work_folder)
     build, model = made.build, made.build.model
     psnr = np.array(made.case.figures.psnr_db)

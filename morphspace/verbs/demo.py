@@ -32,33 +32,39 @@ class DemoRequest:
 
 def run(request: DemoRequest) -> Steps[Outcome]:
     """Draw actors, build models, render, and write index.html."""
+    from morphspace import synthetic
     from morphspace.model.model import load_model
-    from morphspace.outcome import Outcome
+    from morphspace.outcome import RECORD_NAME, Outcome, write_record
     from morphspace.report.demo_page import demo_pictures, demo_section, write_demo_page
-    from morphspace.storage import make_folder
+    from morphspace.sets.protect import Output, writing
     from morphspace.verbs import build_model, make_actors
 
-    make_folder(request.output)
-    actors = request.output / "actors"
-    drawn = yield from make_actors.run(
-        make_actors.MakeActorsRequest(
-            actors, identities=IDENTITIES, portraits=PORTRAITS, frames=FRAMES, seed=SEED
-        )
-    )
-    sections = []
-    for name in drawn.document["actors"]:
-        built = yield from build_model.run(
-            build_model.BuildModelRequest(
-                sources=(str(actors / name),),
-                output=request.output / f"{name}.morph",
-                components=COMPONENTS,
-                landmarks="none",  # drawn faces are aligned and cropped; the demo is the same on every machine
+    folder = request.output
+    names = synthetic.actor_names(IDENTITIES, PORTRAITS)
+    page = folder / "index.html"
+    own = [page, *(folder / name for name in names), folder / RECORD_NAME]
+    with writing(Output("demo", folder, own)):
+        yield from make_actors.run(
+            make_actors.MakeActorsRequest(
+                folder / "actors", identities=IDENTITIES, portraits=PORTRAITS, frames=FRAMES, seed=SEED
             )
         )
-        model = load_model(request.output / f"{name}.morph")
-        yield from demo_pictures(model, request.output / "actors" / name, request.output / name)
-        sections.append(demo_section(name, built.document))
-    page = request.output / "index.html"
-    write_demo_page(page, sections)
+        sections, written = [], [page]
+        for name in names:
+            clip, output = folder / "actors" / name, folder / f"{name}.morph"
+            built = yield from build_model.run(
+                build_model.BuildModelRequest(
+                    sources=(str(clip),),
+                    output=output,
+                    components=COMPONENTS,
+                    landmarks="none",  # drawn faces are aligned and cropped; the demo is the same on every machine
+                )
+            )
+            written += built.written
+            yield from demo_pictures(load_model(output), clip, folder / name)
+            written += sorted((folder / name).iterdir())
+            sections.append(demo_section(name, built.document))
+        write_demo_page(page, sections)
+        record = write_record(folder, "demo", {}, {}, written)
     lines = (f"{page}: open it in a browser",)
-    return Outcome(lines, {"page": str(page), "actors": drawn.document["actors"]}, (), (page,))
+    return Outcome(lines, {"page": str(page), "actors": list(names)}, (), (*written, record))

@@ -5,7 +5,6 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-from morphspace.errors import BadInput
 from morphspace.requests import Clip, FrameCrop, Model, declared
 from morphspace.settings import Help, Option
 
@@ -30,8 +29,6 @@ def run(request: EncodeRequest) -> Steps[Outcome]:
     """Encode the images; write the table and its sidecar."""
     import numpy as np
 
-    from morphspace.io.sidecars import read_json_object
-    from morphspace.io.tables import LOADINGS_FORMAT
     from morphspace.model.encode import (
         drawn_by,
         encoded_frames,
@@ -42,27 +39,22 @@ def run(request: EncodeRequest) -> Steps[Outcome]:
     )
     from morphspace.model.model import load_model
     from morphspace.outcome import Outcome
-    from morphspace.sets.protect import check_file
+    from morphspace.sets.protect import Output, check_file, writing
     from morphspace.steps import Step
-    from morphspace.storage import make_folder
 
     model = load_model(request.model)
     source = framed_for(model, request.sources, request.crop)
     sidecar = request.output.with_suffix(".json")
-    check_file(request.output, ".csv", source.clip.paths)
-    make_folder(request.output.parent)
-    if sidecar.exists() and read_json_object(sidecar).get("format") != LOADINGS_FORMAT:
-        raise BadInput(
-            f"{sidecar} would be replaced, but is not a table's sidecar. Give the table another name"
-        )
+    check_file(request.output, ".csv")
     parts: list[Loadings] = []
     own = drawn_by(model, source)
-    for encoded in encoded_frames(model, source, own):
-        parts.append(encoded.loadings)
-        yield Step("encode", len(parts), len(source.names))
-    loadings = joined(model, parts)
     inputs = dict(zip(source.names, source.file_digests, strict=True))
-    written = write_loadings(request.output, loadings, model, request.model, inputs)
+    with writing(Output("encode", request.output, (request.output, sidecar), inputs=source.clip.paths)):
+        for encoded in encoded_frames(model, source, own):
+            parts.append(encoded.loadings)
+            yield Step("encode", len(parts), len(source.names))
+        loadings = joined(model, parts)
+        written = write_loadings(request.output, loadings, model, request.model, inputs)
     furthest = float(np.abs(loadings.in_sd(model).values).max(initial=0))
     lines = (
         f"{request.output}: {len(parts)} frames, {model.rank} components of {model.identity}, in SD; the furthest "

@@ -98,7 +98,8 @@ def run(request: FlowRequest) -> Steps[Outcome]:
     from morphspace.report.flow_figures import figure_words, found_flows, read_pair
     from morphspace.report.flow_picture import flow_picture
     from morphspace.report.flow_scenes import measured_scenes
-    from morphspace.storage import digest_of_file, make_folder
+    from morphspace.sets.protect import Output, writing
+    from morphspace.storage import digest_of_file
 
     if request.bench is not None:
         return (yield from measured_scenes(request.bench, request.presets, request.output, request.backend))
@@ -111,26 +112,25 @@ def run(request: FlowRequest) -> Steps[Outcome]:
         able = [name for name in methods.NAMES if name not in WITHOUT_START]
         raise BadInput(f"{preset} cannot start from {given}. Choose one of {', '.join(able)}")
     inputs = _inputs(request)
-    _check_outputs(output, back if request.both else None, request.picture, tuple(inputs.values()))
-    pair = read_pair(reference, frame, request.start, request.landmarks)
-    for path in (output, request.picture):
-        if path is not None:
-            make_folder(path.parent)
-    found = yield from found_flows(method, pair, both=request.both)
-    flows = {output: found.flow, **({} if found.back is None else {back: found.back})}
-    write_flows({path: (one.displacement, one.confidence) for path, one in flows.items()})
-    written, figures = list(flows), found.figures
-    if request.picture is not None:
-        names = (reference.name, frame.name)
-        sheet = flow_picture(
-            pair.reference, pair.frame, found.flow, names=names, figures=figure_words(figures)
-        )
-        write_image(request.picture, sheet)
-        written.append(request.picture)
-    digests = {name: digest_of_file(path) for name, path in inputs.items()}
-    folder, name = output.parent, f"{output.name}.{RECORD_NAME}"
-    beside = [path for path in written if path.parent == folder]  # a picture may be in another folder
-    record = write_record(folder, "flow", _settings(request, found.started_from), digests, beside, name)
+    record = output.with_name(f"{output.name}.{RECORD_NAME}")
+    wanted = [output, *([back] if request.both else []), *([request.picture] if request.picture else [])]
+    _check_names(wanted, request.picture)
+    with writing(Output("flow", output, (*wanted, record), inputs=tuple(inputs.values()))):
+        pair = read_pair(reference, frame, request.start, request.landmarks)
+        found = yield from found_flows(method, pair, both=request.both)
+        flows = {output: found.flow, **({} if found.back is None else {back: found.back})}
+        write_flows({path: (one.displacement, one.confidence) for path, one in flows.items()})
+        written, figures = list(flows), found.figures
+        if request.picture is not None:
+            names = (reference.name, frame.name)
+            sheet = flow_picture(
+                pair.reference, pair.frame, found.flow, names=names, figures=figure_words(figures)
+            )
+            write_image(request.picture, sheet)
+            written.append(request.picture)
+        digests = {name: digest_of_file(path) for name, path in inputs.items()}
+        settings = _settings(request, found.started_from)
+        write_record(output.parent, "flow", settings, digests, written, record.name)
     lines = (
         f"{output}: from {reference.name} to {frame.name} by {preset}",
         *(f"{name:<22}{value}" for name, value in figure_words(figures)),
@@ -156,14 +156,11 @@ def _settings(request: FlowRequest, taken: list[str]) -> dict[str, Any]:
     return {**settings, "landmarks": [path.name for path in request.landmarks], "started_from": taken}
 
 
-def _check_outputs(output: Path, back: Path | None, picture: Path | None, kept: tuple[Path, ...]) -> None:
+def _check_names(wanted: list[Path], picture: Path | None) -> None:
     from morphspace.io.flow_fields import check_field_name
     from morphspace.sets.protect import check_file
 
-    check_field_name(output)
-    suffix = output.suffix.lower()
-    check_file(output, suffix, kept)
-    if back is not None:
-        check_file(back, suffix, kept)
-    if picture is not None:
-        check_file(picture, ".png", kept)
+    for path in wanted:
+        if path != picture:
+            check_field_name(path)
+        check_file(path, ".png" if path == picture else path.suffix.lower())

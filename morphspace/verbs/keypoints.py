@@ -81,7 +81,7 @@ def run(request: KeypointsRequest, detector: Detector | None = None) -> Steps[Ou
     from morphspace.model.model import load_model
     from morphspace.outcome import Outcome
     from morphspace.report.pictures import marked_face
-    from morphspace.sets.protect import check_file
+    from morphspace.sets.protect import Output, check_file, writing
 
     _check(request)
     check_content(request.model)  # a damaged model must not be written again with a valid digest
@@ -90,6 +90,8 @@ def run(request: KeypointsRequest, detector: Detector | None = None) -> Steps[Ou
         return _shown(request.model, model)
     output = request.output or request.model
     check_file(output, ".morph")
+    picture = output.with_name(f"{output.stem}.keypoints.png")
+    kept = () if request.file is None else (request.file,)
     if request.automatic:
         found = yield from detected_keypoints(model, detector or load_detector())
     elif request.file is not None:
@@ -100,9 +102,9 @@ def run(request: KeypointsRequest, detector: Detector | None = None) -> Steps[Ou
     if request.automatic:
         changed = changed.with_landmarks(found.landmarks)
     marked_mean = marked_face(changed.mean.render(), found.faceframe)
-    changed.save(output)
-    picture = output.with_name(f"{output.stem}.keypoints.png")
-    write_image(picture, marked_mean)
+    with writing(Output("keypoints", output, (output, picture), inputs=kept)):
+        changed.save(output)
+        write_image(picture, marked_mean)
     lines = (
         f"{output}: keypoints of {model.identity} set",
         *_lines(changed),

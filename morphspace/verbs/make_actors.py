@@ -42,19 +42,19 @@ class MakeActorsRequest:
 def run(request: MakeActorsRequest) -> Steps[Outcome]:
     """Write the clip folders and truth/."""
     from morphspace import synthetic
-    from morphspace.outcome import Outcome, write_record
+    from morphspace.outcome import RECORD_NAME, Outcome, write_record
+    from morphspace.sets.protect import Output, writing
     from morphspace.steps import Step
-    from morphspace.storage import make_folder
 
     width, height = request.size
     if not (min(width, height) >= LEAST_SIDE_PX and max(width, height) <= MOST_SIDE_PX):
         raise BadInput(
             f"the size is {width}x{height} px; expected sides from {LEAST_SIDE_PX} to {MOST_SIDE_PX} px"
         )
-    make_folder(request.output)
     total = (request.identities + request.portraits) * request.frames
     written: list[Path] = []
-    names: dict[str, None] = {}
+    names = synthetic.actor_names(request.identities, request.portraits)
+    own = [request.output / name for name in (*names, "truth", RECORD_NAME)]
     pieces = synthetic.make_actors(
         request.output,
         identities=request.identities,
@@ -66,14 +66,14 @@ def run(request: MakeActorsRequest) -> Steps[Outcome]:
         noise_sd=request.noise_sd,
         portrait=request.portraits,
     )
-    for count, piece in enumerate(pieces, 1):
-        written.append(piece.path)
-        names[piece.actor] = None
-        if piece.truth is not None:
-            written += [piece.truth, piece.path.with_name("clip.json")]
-        yield Step("draw", count, total)
-    settings = request_document(request)
-    record = write_record(request.output, "make-actors", settings, {}, written)
+    with writing(Output("make-actors", request.output, own)):
+        for count, piece in enumerate(pieces, 1):
+            written.append(piece.path)
+            if piece.truth is not None:
+                written += [piece.truth, piece.path.with_name("clip.json")]
+            yield Step("draw", count, total)
+        settings = request_document(request)
+        record = write_record(request.output, "make-actors", settings, {}, written)
     lines = (
         f"{request.output}: {len(names)} actors of {request.frames} frames ({', '.join(names)}), truth in truth/",
     )

@@ -83,23 +83,23 @@ def run(request: MeasureMimicryRequest, detector: Detector | None = None) -> Ste
     """
     from morphspace.face.detector import own_detector
     from morphspace.model.model import load_model
-    from morphspace.sets.imitation import VERB, WRITTEN, MeasureSettings, mark_of, written_imitation
-    from morphspace.sets.protect import check_file, check_ours, no_empty_folders
+    from morphspace.sets.imitation import VERB, WRITTEN, MeasureSettings, written_imitation
+    from morphspace.sets.protect import Output, check_file, writing
 
     model = load_model(request.model)
     _check_request(request, model)
     folder = request.output or Path(f"{Path(request.imitation).stem or 'clip'}-mimicry")
     kept = [Path(given) for given in (request.stimulus, request.imitation)]
     for name in WRITTEN:
-        check_file(folder / name, Path(name).suffix, kept)
+        check_file(folder / name, Path(name).suffix)
     for path in kept:
         if path.is_dir() and folder.resolve() == path.resolve():
             raise BadInput(
                 f"the output folder {folder} is one of the two clips. Choose another output folder"
             )
-    check_ours(folder, VERB, WRITTEN)
     settings = settings_in(request, MeasureSettings)
-    with no_empty_folders(folder, ()), mark_of(folder):
+    guarded = Output(VERB, folder, [folder / name for name in WRITTEN], inputs=kept)
+    with writing(guarded):
         made = yield from written_imitation(
             folder,
             request.model,

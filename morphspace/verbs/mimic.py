@@ -91,22 +91,20 @@ def run(request: MimicRequest, detector: Detector | None = None) -> Steps[Outcom
     """
     from morphspace.face.detector import own_detector
     from morphspace.io.clips import Clip
-    from morphspace.sets.mimicry import written_mimicry
+    from morphspace.sets.mimicry import output_of, written_mimicry
     from morphspace.sets.models import ready_model
-    from morphspace.sets.protect import MODELS_FOLDER, no_empty_folders, told_what_stays
-    from morphspace.storage import make_folder
+    from morphspace.sets.protect import MODELS_FOLDER, told_what_stays, writing
     from morphspace.transfer.driver import clip_driver, training_driver
 
     folder, detect = request.output, detector or own_detector()
     opened, settings = _opened(request, detect)
-    with told_what_stays(folder), no_empty_folders(folder):
-        make_folder(folder)
+    inputs = [path for given in opened if isinstance(given, Clip) for path in given.paths]
+    with told_what_stays(folder), writing(output_of(folder, inputs)):
         models = []
         for given in opened:
             models.append((yield from ready_model(given, folder / MODELS_FOLDER, request.components, detect)))
         source, target = models
         driver = training_driver(source) if request.frames is None else clip_driver(source, request.frames)
-        inputs = [path for given in opened if isinstance(given, Clip) for path in given.paths]
         made = yield from written_mimicry(folder, source, target, driver, settings, detect, inputs)
     return _outcome(folder, source.model, target.model, made)
 
@@ -124,13 +122,13 @@ def check(request: MimicRequest) -> None:
 def _opened(request: MimicRequest, detect: Detector | None) -> tuple[list[UsedModel | Clip], MimicSettings]:
     """Open both models or clips, and raise any foreseeable error before a model is built."""
     from morphspace.io.clips import Clip, open_clip
-    from morphspace.sets.mimicry import MimicSettings
+    from morphspace.sets.mimicry import MimicSettings, output_of
     from morphspace.sets.models import check_faces, check_landmarks, opened_model
-    from morphspace.sets.protect import MODELS_FOLDER, check_apart, check_ours
+    from morphspace.sets.protect import MODELS_FOLDER, check_apart, check_origins
 
     settings = settings_in(request, MimicSettings)
     sides = {"--src": request.source, "--dst": request.target}
-    check_ours(request.output)
+    check_origins(output_of(request.output))
     opened = [opened_model(role, words, detect) for role, words in sides.items()]
     for role, given in zip(sides, opened, strict=True):
         if isinstance(given, Clip):

@@ -98,24 +98,21 @@ def _lone_video(planned: PlannedSet, output: Path) -> Steps[Outcome]:
     from morphspace.outcome import RECORD_NAME, Outcome, write_record
     from morphspace.report.set_page import CLIPPED_PERCENT
     from morphspace.sets.draw import make_stimulus
-    from morphspace.sets.protect import check_replaced
+    from morphspace.sets.protect import Output, writing
     from morphspace.steps import Step, worker_count
-    from morphspace.storage import make_folder
 
-    make_folder(output.parent)
     (drawing,) = planned.drawings
     sidecar = output.with_name(f"{output.name}.json")
-    check_replaced(output, sidecar)
-    yield Step("render", 0, 1)
-    row = make_stimulus(
-        planned.model, drawing, planned.sidecar_head(), output.parent, worker_count(), (output, sidecar)
-    )
-    yield Step("render", 1, 1)
-    settings = {**planned.request, "frame_rate_hz": drawing.frame_rate_hz}
-    written = (output, sidecar)
-    record = write_record(
-        output.parent, "render", settings, dict(planned.inputs), written, f"{output.name}.{RECORD_NAME}"
-    )
+    record = output.with_name(f"{output.name}.{RECORD_NAME}")
+    with writing(Output("render", output, (record,), [(output, sidecar)], planned.files)):
+        yield Step("render", 0, 1)
+        row = make_stimulus(
+            planned.model, drawing, planned.sidecar_head(), output.parent, worker_count(), (output, sidecar)
+        )
+        yield Step("render", 1, 1)
+        settings = {**planned.request, "frame_rate_hz": drawing.frame_rate_hz}
+        written = (output, sidecar)
+        write_record(output.parent, "render", settings, dict(planned.inputs), written, record.name)
     notes = planned.notes
     if row["clipped_percent"] > CLIPPED_PERCENT:
         notes = (*notes, f"{row['clipped_percent']:.2g} % of the colour values were clipped: lower the gain")

@@ -121,28 +121,23 @@ def _made(request: TrajectoryRequest, model: MorphModel) -> Steps[MadeMotions]:
 
 def _write_table(request: TrajectoryRequest) -> Steps[Outcome]:
     """Write the new motion as a table of loadings, for any verb that reads one."""
-    from morphspace.io.sidecars import read_json_object
-    from morphspace.io.tables import LOADINGS_FORMAT, write_loadings_table
+    from morphspace.io.tables import write_loadings_table
     from morphspace.outcome import Outcome, versions
     from morphspace.sets.kept import digest_of_kept
     from morphspace.sets.motions import told_of
-    from morphspace.sets.protect import check_file
-    from morphspace.storage import make_folder
+    from morphspace.sets.protect import Output, check_file, check_origins, writing
 
     model = _opened(request)
     paths = [*request.tables, *([] if request.guide is None else [request.guide])]
-    check_file(request.output, ".csv", paths)
+    check_file(request.output, ".csv")
+    sidecar = request.output.with_suffix(".json")
+    guarded = Output("trajectory", request.output, (request.output, sidecar), inputs=paths)
+    check_origins(guarded)
     made = yield from _made(request, model)
     if len(made.motions) > 1:
         raise BadInput(
             f"{len(made.motions)} motions do not fit one table {request.output}. Join them with splice or "
             "average, or give one table"
-        )
-    make_folder(request.output.parent)
-    sidecar = request.output.with_suffix(".json")
-    if sidecar.exists() and read_json_object(sidecar).get("format") != LOADINGS_FORMAT:
-        raise BadInput(
-            f"{sidecar} would be replaced, but is not a table's sidecar. Give the table another name"
         )
     motion = made.motions[0]
     weights = model.sd[: motion.loadings_sd.shape[1]]
@@ -159,7 +154,8 @@ def _write_table(request: TrajectoryRequest) -> Steps[Outcome]:
         "versions": versions(),
     }
     names = [f"frame_{row:0{max(4, len(str(count - 1)))}d}" for row in range(count)]
-    write_loadings_table(request.output, motion.loadings_sd, names, document)
+    with writing(guarded):
+        write_loadings_table(request.output, motion.loadings_sd, names, document)
     lines = (
         f"{request.output}: {count} frames at {motion.rate_hz:g} Hz, {motion.duration_s:.2f} s"
         + (", a loop" if motion.ends == "closed" else ""),

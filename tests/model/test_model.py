@@ -525,3 +525,14 @@ def test_a_full_disk_leaves_the_old_model(model, saved):
 def test_a_place_that_cannot_be_written_is_named(model, saved):
     with pytest.raises(UnwritableFile, match=r"cannot write .*some\.morph"):
         model.save(saved / "inside.morph")
+
+
+def test_a_model_is_not_saved_over_another_kind_of_file(model, tmp_path):
+    path = tmp_path / "a.morph"
+    path.write_bytes(b"mine, and long enough for a header")
+    with pytest.raises(UnwritableFile, match="no file of morphspace"):
+        model.save(path)
+    assert path.read_bytes().startswith(b"mine")
+    path.write_bytes(b"")
+    model.save(path)
+    model.save(path)

@@ -307,7 +307,7 @@ def test_tables_of_others_are_never_replaced(lab, tmp_path):
         out = tmp_path / Path(name).stem / Path(name).suffix[1:]
         out.mkdir(parents=True)
         (out / name).write_bytes(b"mine")
-        with pytest.raises(BadInput, match=f"{name} would be replaced, but is not of a stimulus set"):
+        with pytest.raises(BadInput, match=f"{name} is a file that no earlier batch wrote"):
             made(recipe(lab, CROSSED), out, workers=1)
         assert tree(out) == {name: b"mine"}
     made(recipe(lab, CROSSED), tmp_path / "there", workers=1)  # its own it takes up

@@ -1,5 +1,6 @@
 """Laws of stimulus sets: same request, same bytes; what is done is kept; sidecars, manifest, page and files agree."""
 
+import contextlib
 import csv
 import importlib
 import json
@@ -10,6 +11,7 @@ import jsonschema
 import numpy as np
 import pytest
 
+from morphspace import storage
 from morphspace.errors import BadInput
 from morphspace.io.colour import codes_of
 from morphspace.io.images import read_image, write_image
@@ -448,7 +450,9 @@ def test_a_set_whose_own_table_is_read_goes_elsewhere(folder, tmp_path):
 )
 def test_a_file_of_somebody_else_is_named_and_stays(folder, tmp_path, name):
     (tmp_path / name).write_bytes(b"{}")
-    with pytest.raises(BadInput, match=f"{name} would be replaced, but is not of a stimulus set"):
+    with pytest.raises(
+        BadInput, match=f"{name} is a file that no earlier caricature wrote, and would be replaced"
+    ):
         made(folder, tmp_path, gains=(1.0,))
     assert bytes_of(tmp_path) == {name: b"{}"}
 
@@ -457,7 +461,7 @@ def test_a_file_that_a_sets_record_does_not_list_stays(folder, tmp_path):
     made(folder, tmp_path, gains=(1.0,))
     (tmp_path / "colour_loadings.csv").write_bytes(b"mine")
     before = bytes_of(tmp_path)
-    with pytest.raises(BadInput, match=r"colour_loadings\.csv would be replaced"):
+    with pytest.raises(BadInput, match=r"colour_loadings\.csv is a file that no earlier caricature wrote"):
         made(folder, tmp_path, gains=(1.0,))
     assert bytes_of(tmp_path) == before
 
@@ -465,24 +469,36 @@ def test_a_file_that_a_sets_record_does_not_list_stays(folder, tmp_path):
 @pytest.mark.parametrize(
     "left", ["record.json", "index.html", "loadings.json", "manifest.json", "manifest.csv"]
 )
-def test_a_set_killed_before_its_record_goes_on(folder, pictures, tmp_path, left):
-    """Files are written in this order; killed at each, and then with another set's record still there."""
-    order = ["manifest.csv", "manifest.json", "loadings.csv", "loadings.json", "index.html", "record.json"]
-    made(folder, tmp_path, gains=(0.5, 1.0, 2.0))
-    for name in order[order.index(left) :]:
-        (tmp_path / name).unlink()
+def test_a_stopped_set_resumes(folder, pictures, tmp_path, monkeypatch, left):
+    with stopped_at(left, monkeypatch):
+        made(folder, tmp_path, gains=(0.5, 1.0, 2.0))
     made(folder, tmp_path, gains=(0.5, 1.0, 2.0))
     assert bytes_of(tmp_path) == bytes_of(pictures)
 
 
-def test_a_set_killed_while_it_took_a_folder_over_goes_on(folder, tmp_path):
-    made(folder, tmp_path, gains=(1.0,))
-    record = (tmp_path / "record.json").read_bytes()
-    made(folder, tmp_path, gains=(1.0,), texture_gains=(2.0,))
-    whole = bytes_of(tmp_path)
-    (tmp_path / "record.json").write_bytes(record)  # which lists no colour_loadings.csv
-    made(folder, tmp_path, gains=(1.0,), texture_gains=(2.0,))
-    assert bytes_of(tmp_path) == whole
+def test_a_set_that_is_stopped_in_the_folder_of_another_resumes(folder, tmp_path, monkeypatch):
+    made(folder, tmp_path / "a", gains=(1.0,))
+    made(folder, tmp_path / "a", gains=(1.0,), texture_gains=(2.0,))
+    made(folder, tmp_path / "b", gains=(1.0,))
+    with stopped_at("record.json", monkeypatch):  # the old record lists no colour_loadings.csv
+        made(folder, tmp_path / "b", gains=(1.0,), texture_gains=(2.0,))
+    made(folder, tmp_path / "b", gains=(1.0,), texture_gains=(2.0,))
+    assert bytes_of(tmp_path / "b") == bytes_of(tmp_path / "a")
+
+
+@contextlib.contextmanager
+def stopped_at(name, monkeypatch):
+    """Stop a run when it begins to write the file `name`."""
+    whole_file = storage.whole_file
+
+    def stopping(path):
+        if path.name == name:
+            raise KeyboardInterrupt
+        return whole_file(path)
+
+    with monkeypatch.context() as patched, pytest.raises(KeyboardInterrupt):
+        patched.setattr(storage, "whole_file", stopping)
+        yield
 
 
 def placed(folder, output, told):
@@ -570,9 +586,9 @@ def test_a_cut_sidecar_without_its_picture_is_ours_by_its_start_and_another_is_r
     assert bytes_of(tmp_path) == whole
     for left in tmp_path.iterdir():
         left.unlink()
-    for content in (b"", b"mine", b"{"):
+    for content in (b"mine", b"{"):
         sidecar.write_bytes(content)
-        with pytest.raises(BadInput, match="Delete it or choose another folder"):
+        with pytest.raises(BadInput, match="no earlier caricature wrote"):
             made(folder, tmp_path, gains=(1.0,), frames=("frame_001",))
         assert bytes_of(tmp_path) == {sidecar.name: content}
 

@@ -122,7 +122,7 @@ def test_written_pictures_are_the_drawn_ones(tmp_path: Path) -> None:
 
 
 def test_impossible_orders_are_refused(tmp_path: Path) -> None:
-    with pytest.raises(BadInput, match="no clip"):
+    with pytest.raises(BadInput, match="expected at least one"):
         next(make_actors(tmp_path, identities=0))
     with pytest.raises(BadInput, match="0 frames"):
         next(make_actors(tmp_path, frames=0))

@@ -396,7 +396,7 @@ def test_a_picture_may_lie_in_another_folder(folder, asked):
     done(folder / "a.png", folder / "b.png", "-o", folder / "fields" / "o.flo", "--picture", elsewhere, *FAST)
     assert read_image(elsewhere).shape[2] == 3
     record = json.loads((folder / "fields" / "o.flo.record.json").read_text())
-    assert list(record["outputs"]) == ["o.flo"]
+    assert list(record["outputs"]) == ["../pictures/p.png", "o.flo"]
 
 
 # bad input
@@ -452,7 +452,8 @@ def test_a_method_that_fails_is_a_fault_of_ours(folder, asked):
 
 
 def test_no_room_for_both_leaves_what_was_there(folder):
-    (folder / "o.flo").write_bytes(b"the old flow")
+    done(folder / "a.png", folder / "b.png", "-o", folder / "o.flo", *FAST)
+    old = (folder / "o.flo").read_bytes()
     size = HEIGHT * WIDTH * 8 + 12
 
     def little_room():
@@ -479,8 +480,8 @@ def test_no_room_for_both_leaves_what_was_there(folder):
     )
     assert ended.returncode == 2 and ended.stderr.count("\n") == 1, ended.stderr
     assert ended.stderr.startswith("morphspace: cannot write")
-    assert (folder / "o.flo").read_bytes() == b"the old flow"
-    assert sorted(path.name for path in folder.iterdir()) == ["a.png", "b.png", "o.flo"]
+    assert (folder / "o.flo").read_bytes() == old
+    assert sorted(path.name for path in folder.iterdir()) == ["a.png", "b.png", "o.flo", "o.flo.record.json"]
 
 
 def test_a_way_back_that_cannot_be_written_takes_the_way_there_with_it(folder, asked, monkeypatch):

@@ -29,6 +29,7 @@ from morphspace.model.morph import Morph
 from morphspace.notebook import build
 from morphspace.sets import imitation as imitation_set
 from morphspace.sets.imitation import WRITTEN, of_height
+from morphspace.sets.protect import MARK_NAME
 from morphspace.steps import result_of
 from morphspace.storage import digest_of_file
 from morphspace.verbs import measure_mimicry
@@ -741,7 +742,7 @@ def test_files_that_are_not_ours_are_not_written_over(work, model, name):
     (work / "out").mkdir()
     (work / "out" / name).write_text('{"verb": "mimic"}')
     with pytest.raises(
-        BadInput, match=f"not the folder of an earlier measure-mimicry, and its {name} would be replaced"
+        BadInput, match=f"{name} is a file that no earlier measure-mimicry wrote, and would be replaced"
     ):
         measured(work, given, given)
     assert {path.name: path.read_text() for path in (work / "out").iterdir()} == {name: '{"verb": "mimic"}'}
@@ -772,7 +773,7 @@ def test_a_run_that_fails_half_way_leaves_a_folder_the_next_one_takes(work, mode
         patched.setattr(imitation_set, "write_measures", stop)
         with pytest.raises(KeyboardInterrupt):
             measured(work, given, given)
-    assert {path.name for path in (work / "out").iterdir()} == {"side-by-side.mp4", "measure-mimicry.work"}
+    assert {path.name for path in (work / "out").iterdir()} == {"side-by-side.mp4", MARK_NAME}
     measured(work, given, given)
     assert {path.name for path in (work / "out").iterdir()} == set(WRITTEN)
 

@@ -41,6 +41,7 @@ from morphspace.report.mimic_page import HEADINGS, LEFT_OUT
 from morphspace.requests import field_named
 from morphspace.sets import mimicry, models
 from morphspace.sets.mimicry import FinishedFrames, frame_steps
+from morphspace.sets.protect import MARK_NAME
 from morphspace.steps import result_of, worker_count
 from morphspace.transfer import neutral
 from morphspace.transfer.driver import Driver
@@ -393,7 +394,7 @@ def test_what_no_run_of_mimic_wrote_is_neither_replaced_nor_mixed(work, name):
     mine = work / "out" / name
     mine.parent.mkdir(parents=True)
     mine.write_text("mine")
-    with pytest.raises(BadInput, match="not the folder of an earlier mimic") as refusal:
+    with pytest.raises(BadInput, match="no earlier mimic wrote") as refusal:
         run(work)
     assert name.split("/")[0] in str(refusal.value) and "\n" not in str(refusal.value)
     assert [path for path in (work / "out").rglob("*") if path.is_file()] == [mine]
@@ -406,7 +407,7 @@ def test_a_folder_of_another_verb_is_not_taken_for_ours_and_other_files_may_lie_
     run(work)
     assert (work / "out" / "notes.txt").read_text() == "mine"
     (work / "out" / "record.json").write_text(json.dumps({"format": "morphspace-record", "verb": "render"}))
-    with pytest.raises(BadInput, match="not the folder of an earlier mimic"):
+    with pytest.raises(BadInput, match="no earlier mimic wrote"):
         run(work)
 
 
@@ -784,7 +785,7 @@ def test_after_an_error_the_mended_command_goes_on(work, actor):
     bad.write_bytes(whole[:-300])
     with pytest.raises(UnreadableFile, match=r"clip_001\.png"):
         run(work, frames=given)
-    assert (work / "out" / "frames").exists() and (work / "out" / "mimic.work").is_dir()
+    assert (work / "out" / "frames").exists() and (work / "out" / MARK_NAME).is_file()
     bad.write_bytes(whole)
     run(work, frames=given)
     run(work, frames=given, output=work / "fresh")
@@ -807,7 +808,7 @@ def test_the_mark_is_there_before_any_picture(work, monkeypatch):
     seen = []
 
     def written(path, image):
-        seen.append((work / "out" / "mimic.work").is_dir() and any((work / "out" / "mimic.work").iterdir()))
+        seen.append((work / "out" / MARK_NAME).stat().st_size > 0)
         raise UnwritableFile("full")
 
     monkeypatch.setattr(mimicry, "write_image", written)

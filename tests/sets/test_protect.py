@@ -1,0 +1,216 @@
+"""The guard of outputs: what a verb may replace, and what a stopped or simultaneous run finds."""
+
+import json
+import os
+import subprocess
+import sys
+import textwrap
+from pathlib import Path
+
+import pytest
+
+from morphspace.errors import BadInput, UnwritableFile
+from morphspace.outcome import write_record
+from morphspace.requests import OUTPUT, all_verbs
+from morphspace.sets.protect import MARK_NAME, Output, check_origins, writing
+from morphspace.storage import write_container
+
+
+def bytes_of(folder):
+    return {
+        path.relative_to(folder).as_posix(): path.read_bytes()
+        for path in sorted(folder.rglob("*"))
+        if path.is_file()
+    }
+
+
+def folder_output(folder, verb="mimic", names=("frames", "table.csv", "record.json"), **more):
+    return Output(verb, folder, [folder / name for name in names], **more)
+
+
+def complete(output):
+    """Write every file of an output, as a verb does."""
+    with writing(output):
+        written = []
+        for path in output.files:
+            if path == output.record:
+                continue
+            target = path / "one.png" if path.name == "frames" else path
+            target.parent.mkdir(parents=True, exist_ok=True)
+            target.write_bytes(b"ours")
+            written.append(target)
+        write_record(output.folder, output.verb, {}, {}, written, output.record.name)
+
+
+def test_a_finished_run_leaves_no_mark_and_its_files_are_replaced(tmp_path):
+    output = folder_output(tmp_path / "out")
+    complete(output)
+    assert set(bytes_of(tmp_path / "out")) == {"frames/one.png", "table.csv", "record.json"}
+    complete(output)
+
+
+@pytest.mark.parametrize("name", ["table.csv", "frames/mine.png", "record.json"])
+def test_a_file_of_another_origin_is_refused_and_stays(tmp_path, name):
+    mine = tmp_path / "out" / name
+    mine.parent.mkdir(parents=True)
+    mine.write_bytes(b"mine")
+    with pytest.raises(BadInput, match=f"{name.split('/')[0]} is a .* that no earlier mimic wrote"):
+        complete(folder_output(tmp_path / "out"))
+    assert bytes_of(tmp_path / "out") == {name: b"mine"}
+
+
+def test_the_files_of_another_verb_are_of_another_origin(tmp_path):
+    complete(folder_output(tmp_path, "reconstruct"))
+    with pytest.raises(BadInput, match="no earlier mimic wrote"):
+        complete(folder_output(tmp_path, "mimic"))
+
+
+def test_sets_of_stimuli_share_a_folder_whatever_verb_made_them(tmp_path):
+    names = ("manifest.json", "record.json")
+    complete(folder_output(tmp_path, "sweep", names))
+    complete(folder_output(tmp_path, "caricature", names))
+    complete(folder_output(tmp_path / "other", "mimic", ("loadings.csv", "record.json")))
+    with pytest.raises(BadInput, match="no earlier caricature wrote"):
+        complete(folder_output(tmp_path / "other", "caricature", (*names, "loadings.csv")))
+
+
+@pytest.mark.parametrize("name", [".DS_Store", "Thumbs.db"])
+def test_files_of_the_system_and_empty_files_hinder_nothing(tmp_path, name):
+    (tmp_path / "frames").mkdir()
+    (tmp_path / "frames" / name).write_bytes(b"system")
+    (tmp_path / "table.csv").touch()
+    complete(folder_output(tmp_path))
+
+
+def test_a_folder_with_the_name_of_a_file_is_refused(tmp_path):
+    (tmp_path / "table.csv" / "inner").mkdir(parents=True)
+    with pytest.raises(BadInput, match=r"table\.csv is a folder that no earlier mimic wrote"):
+        complete(folder_output(tmp_path))
+
+
+def single(path, verb="encode"):
+    return Output(verb, path, [path])
+
+
+@pytest.mark.parametrize(
+    ("name", "content"),
+    [
+        ("a.csv", b"x,y\n"),
+        ("a.html", b"<html></html>"),
+        ("a.morph", b"text"),
+        ("a.json", b'{"format": "mine"}'),
+    ],
+)
+def test_a_single_file_is_recognised_by_its_content(tmp_path, name, content):
+    path = tmp_path / name
+    path.write_bytes(content)
+    with pytest.raises(BadInput, match="no earlier encode wrote"), writing(single(path)):
+        pytest.fail("the guard let the block run")
+    assert bytes_of(tmp_path) == {name: content}
+
+
+def test_files_with_the_marks_of_morphspace_are_replaced(tmp_path):
+    (tmp_path / "a.json").write_text('{"format": "morphspace-loadings"}')
+    (tmp_path / "a.csv").write_text("frame,pc1\n")
+    (tmp_path / "a.html").write_text("<p>x</p><footer>Written by morphspace. It loads nothing.</footer>")
+    write_container(tmp_path / "a.morph", {}, {"format": "morphspace-model"})
+    cut = (tmp_path / "a.morph").read_bytes()[:60]
+    (tmp_path / "b.morph").write_bytes(cut)
+    for name in ("a.csv", "a.json", "a.html", "a.morph", "b.morph"):
+        with writing(single(tmp_path / name)):
+            pass
+
+
+def test_the_files_of_a_failed_run_are_taken_over_and_one_without_files_leaves_nothing(tmp_path):
+    output = folder_output(tmp_path / "deep" / "out")
+    with pytest.raises(KeyboardInterrupt), writing(output):
+        raise KeyboardInterrupt
+    assert not (tmp_path / "deep").exists()
+    with pytest.raises(KeyboardInterrupt), writing(output):
+        (output.folder / "frames").mkdir()
+        (output.folder / "frames" / "half.png").write_bytes(b"ours")
+        raise KeyboardInterrupt
+    assert (output.folder / MARK_NAME).is_file()
+    check_origins(output)
+    with pytest.raises(BadInput, match="no earlier reconstruct wrote"):
+        check_origins(folder_output(output.folder, "reconstruct"))
+    complete(output)
+    assert not (output.folder / MARK_NAME).exists()
+
+
+def run_until_killed(folder, then):
+    """Run the guard in another process, and return it once it is inside the block."""
+    code = f"""
+        import os, sys, time
+        from pathlib import Path
+        from morphspace.sets.protect import Output, writing
+        folder = Path({str(folder)!r})
+        with writing(Output("mimic", folder, [folder / "frames", folder / "table.csv", folder / "record.json"])):
+            (folder / "table.csv").write_bytes(b"half done")
+            (folder / ".table.abcdefgh.csv").write_bytes(b"unfinished")
+            (folder / ".other.abcdefgh.csv").write_bytes(b"of another program")
+            print("inside", flush=True)
+            {then}
+    """
+    started = subprocess.Popen(
+        [sys.executable, "-c", textwrap.dedent(code)], stdout=subprocess.PIPE, env=dict(os.environ)
+    )
+    assert started.stdout.readline() == b"inside\n"
+    return started
+
+
+def test_a_killed_run_is_recognised_and_its_unfinished_files_go(tmp_path):
+    started = run_until_killed(tmp_path, "os._exit(9)")
+    started.communicate()
+    assert json.loads((tmp_path / MARK_NAME).read_text())["process"] == started.pid
+    complete(folder_output(tmp_path))
+    assert set(bytes_of(tmp_path)) == {
+        "frames/one.png",
+        "table.csv",
+        "record.json",
+        ".other.abcdefgh.csv",
+    }
+
+
+def test_a_second_run_names_the_first_and_changes_nothing(tmp_path):
+    started = run_until_killed(tmp_path, "time.sleep(60)")
+    before = bytes_of(tmp_path)
+    try:
+        with pytest.raises(BadInput, match=rf"another mimic \(process {started.pid}\) is writing"):
+            complete(folder_output(tmp_path))
+        assert bytes_of(tmp_path) == before
+    finally:
+        started.kill()
+        started.communicate()
+    complete(folder_output(tmp_path))
+
+
+def test_two_files_of_one_folder_are_written_at_once(tmp_path):
+    with writing(single(tmp_path / "a.csv")), writing(single(tmp_path / "b.csv")):
+        pass
+    with (
+        pytest.raises(BadInput, match="another encode"),
+        writing(single(tmp_path / "a.csv")),
+        writing(single(tmp_path / "a.csv")),
+    ):
+        pass
+    assert not bytes_of(tmp_path)
+
+
+def test_a_mark_that_is_a_link_is_not_followed(tmp_path):
+    (tmp_path / "victim").write_bytes(b"mine")
+    (tmp_path / "out").mkdir()
+    (tmp_path / "out" / MARK_NAME).symlink_to(tmp_path / "victim")
+    with pytest.raises(UnwritableFile, match="cannot write"):
+        complete(folder_output(tmp_path / "out"))
+    assert (tmp_path / "victim").read_bytes() == b"mine"
+
+
+WITH_OUTPUT = [verb for verb in all_verbs() if OUTPUT in verb.request.__dataclass_fields__]
+
+
+@pytest.mark.parametrize("verb", WITH_OUTPUT, ids=lambda verb: verb.name)
+def test_every_verb_with_an_output_asks_the_guard(verb):
+    """The file of the verb enters `writing`, or hands its set to a function that does; replay writes new names only."""
+    source = Path(verb.module.__file__).read_text(encoding="utf-8")
+    assert verb.name == "replay" or any(word in source for word in ("writing(", "write_set(", "write_batch("))
