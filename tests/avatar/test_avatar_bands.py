@@ -145,3 +145,45 @@ def test_detail_of_one_among_three_is_never_less_with_more_weight():
     third = np.flipud(bare)
     seen = [contrast(mixed_with((0.5, w, 0.3), (bare, worn, third)), worn) for w in np.linspace(0, 1, 11)]
     assert (np.diff(seen) > -1e-3).all() and seen[0] < 0.02 and seen[-1] > 0.95
+
+
+def test_a_wave_is_mixed_by_the_bands_it_lies_in():
+    """FINE and COARSE: Gaussians of 2 and 8 px leave 0.881 and 0.132 of a wave of 25 px.
+
+    The mean has half of it, the band below the coarse part 0.8, as shares tell, and the finest band all of it.
+    """
+    x = np.arange(200, dtype=np.float32)
+    wave = np.tile(np.cos(2 * np.pi * x / 25)[None, :, None], (60, 1, 3)).astype(np.float32)
+    one, flat = 0.5 + 0.1 * wave, np.full_like(wave, 0.5)
+    ones = np.ones(wave.shape[:2], np.float32)
+    mixed = banded(mean_of(one, flat), [Shown(one, ones), Shown(flat, 0.25 * ones)], [0.0, 0.0])
+    middle = np.s_[20:40, 50:150]  # four waves
+    fine, coarse = (np.exp(-((2 * np.pi * sd_px / 25) ** 2) / 2) for sd_px in (2.0, 8.0))
+    expected = 0.5 * coarse + 0.8 * (fine - coarse) + (1 - fine)
+    seen = np.vdot(mixed[middle] - 0.5, wave[middle]) / np.vdot(wave[middle], wave[middle])
+    assert seen / 0.1 == pytest.approx(expected, abs=0.01)
+
+
+def test_detail_weaker_than_a_thousandth_of_luma_counts_as_much_as_none():
+    """LEAST_STRENGTH: detail whose variance is a millionth counts two to one against none."""
+    one, flat = skin(2), np.full((60, 50, 3), 0.5, np.float32)
+    one = 0.5 + (one - 0.5) * np.float32(1e-3 / np.sqrt(strength(detail_of(one)).mean()))
+    strong = strength(detail_of(one))[..., None]
+    expected = (strong + 1e-6) / (strong + 2e-6) * detail_of(one)
+    mixed = banded(mean_of(one, flat), [Shown(one, ALL), Shown(flat, ALL)], [0.0, 0.0])
+    coarser = mean_of(one - detail_of(one), flat)
+    assert_allclose(mixed - coarser, expected, atol=2e-5)
+
+
+def test_a_share_of_nothing_counts_as_a_thousandth():
+    """LEAST_SHARE."""
+    one, other = skin(2), np.roll(skin(9), 5, axis=0)
+    mixed = [
+        banded(one, [Shown(one, share * ALL), Shown(other, share * ALL)], [0.0, 0.0]) for share in (0, 1)
+    ]
+    assert_allclose(*mixed, atol=1e-5)  # of nothing and nothing each counts half
+    beside = [
+        banded(one, [Shown(one, ALL), Shown(other, share * ALL)], [0.0, 0.0]) for share in (0, 1e-3, 5e-3)
+    ]
+    assert_allclose(beside[0], beside[1], atol=1e-7)
+    assert np.abs(beside[2] - beside[1]).max() > 1e-5

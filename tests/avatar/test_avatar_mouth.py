@@ -107,6 +107,18 @@ def test_a_mouth_drawn_lower_is_found_there_and_nothing_else_moves(anna, ben):
     assert np.abs(at_mouth(before[1].texture) - at_mouth(anna.mean.texture)).max() > 0.15
 
 
+def test_flow_leaves_the_start_by_a_twentyfifth_of_the_width_at_most(model, anna):
+    """MOST_BEYOND_START, 2.6 px of 64: a mouth 5 px lower than its landmarks say is followed by 2.3 px."""
+    low = person(model, "ben", 0.0)
+    drawn = Morph.of(mouth_drawn(model, 5.0), low.mean.displacement, low.mean.reference_id)
+    out = matcher(anna, replace(low, mean=drawn)).matched(
+        shown(anna, replace(low, mean=drawn)), laid(anna, low)
+    )
+    width = model.mask.shape[1]
+    found = at_mouth(out[1].displacement)[..., 1]
+    assert 0.5 * 0.04 * width < found.mean() and found.max() < 0.04 * width
+
+
 def test_what_was_found_is_read_where_it_is_drawn(anna, ben):
     """The texture on the grid, put where the field says, is the version's own picture there."""
     one = matcher(anna, ben).matched(shown(anna, ben), laid(anna, ben))[1]

@@ -12,6 +12,7 @@ from numpy.testing import assert_allclose
 
 from morphspace.face.mesh import LANDMARKS, landmark_places
 from morphspace.grid import warp
+from morphspace.model.morph import MorphOffset
 from morphspace.transfer.colours import MixedColours
 from morphspace.transfer.mimicry import auto_gain, mimic
 from morphspace.transfer.quality import reach_of
@@ -109,6 +110,20 @@ def test_colours_fade_to_the_means_next_to_the_mean(drawn_anna):
     near = 0.05 * model.sd * (1, -1, 1, -1, 1, -1)
     lengths = [np.linalg.norm(colours.mixed(colours.parts[1], scale * near)) for scale in (1.0, 2.0)]
     assert lengths[0] / lengths[1] == pytest.approx(0.5, abs=0.05)  # the two mix almost the same faces
+
+
+@pytest.mark.parametrize(("least", "most", "agreement"), [(0.3, 0.48, 0.0), (0.52, 0.7, 1.0)])
+def test_colours_agree_where_half_of_both_masks_is_the_face(drawn_anna, least, most, agreement):
+    """INSIDE: colours that change equally at one pixel, whose masks have this product."""
+    model = drawn_anna.model
+    product = model.mask**2  # the affine of a person to herself moves no pixel
+    row, column = np.argwhere((product > least) & (product < most))[0]
+    texture = np.zeros_like(model.mean.texture)
+    texture[row, column] = 0.2
+    offset = MorphOffset.of(texture, np.zeros_like(model.mean.displacement), model.mean.reference_id)
+    nothing = np.zeros(model.rank)
+    found = reach_of(model, model, 1.0)(offset, model.mean + offset, nothing, nothing)
+    assert found.colour_agreement == pytest.approx(agreement, abs=1e-5)
 
 
 @pytest.mark.parametrize(("moved", "still"), [("lips", "brows"), ("brows", "lips")])

@@ -11,6 +11,7 @@ from morphspace.face.expression import ring_gaps
 from morphspace.face.faceframe import FaceFrame
 from morphspace.face.mesh import LANDMARKS, landmark_places
 from morphspace.model.landmarks import LandmarkRegression
+from morphspace.transfer import colours
 from morphspace.transfer.colours import MixedColours
 
 FRAME = FaceFrame((20.0, 30.0), (41.0, 29.0), (30.0, 44.0))
@@ -87,6 +88,23 @@ def test_brows_belong_to_the_upper_part_and_the_mouth_to_the_lower(person):
     for point, part, other in ((right, upper, lower), (left, upper, lower), (lip, lower, upper)):
         place = int(point[1]) * width + int(point[0])
         assert place in part.places and place not in other.places
+
+
+def test_a_mixture_is_of_the_hundred_nearest_training_faces(person, monkeypatch):
+    """NEAREST."""
+    values = np.random.default_rng(4).standard_normal((150, person.rank)) * person.sd
+    names = tuple(f"f{place}" for place in range(150))
+    crowd = replace(person, training=replace(person.training, values=values, frame_names=names))
+    texturing, mixed = MixedColours(crowd), []
+    monkeypatch.setattr(
+        colours,
+        "nearest_mixture",
+        lambda apart, costs: mixed.append(costs) or np.ones(len(costs)) / len(costs),
+    )
+    part, loadings = texturing.parts[0], 1.5 * person.sd
+    texturing.mixed(part, loadings)
+    every = 0.3 * ((part.training_shapes - loadings @ part.shape) ** 2).sum(axis=1)  # LOCALITY
+    assert_allclose(np.sort(mixed[0]), np.sort(every)[:100])
 
 
 def test_the_picture_is_the_sum_of_its_parts(person):
