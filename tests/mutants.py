@@ -3,8 +3,10 @@
     python tests/mutants.py --count 60 --seed 1
 
 A mutant is the code with one change: a constant of a module or another number ten times as large, a tenth of it or of
-the other sign; a comparison turned round, `and` for `or`, a `not` left out; `+` for `-`. A quarter of the mutants is of
-each kind, drawn from the rooms below. Docstrings, annotations, f-strings and the words of errors stay as they are.
+the other sign; a comparison turned round, `and` for `or`, a `not` left out; `+` for `-`. An index and an axis become
+the one beside them: ten times as large they only raise, and with the other sign the second of two is the second. A
+quarter of the mutants is of each kind, drawn from the rooms below. Docstrings, annotations, f-strings and the words of
+errors stay as they are.
 
 Each mutant lives in a copy of the project, never in the working tree. The default tests run once as the code is, which
 tells what fails anyway, and which test runs which line. A mutant meets the tests that run its line, those of its own
@@ -79,6 +81,7 @@ class Sites(ast.NodeVisitor):
         self.starts = [sum(lengths[:n]) for n in range(len(lengths))]
         self.found: list[list[Mutant]] = []
         self.depth = 0  # in functions
+        self.indices: set[ast.AST] = set()
         self.visit(ast.parse(self.source))
 
     def visit(self, node: ast.AST) -> None:
@@ -99,6 +102,10 @@ class Sites(ast.NodeVisitor):
             and node.value.id == "Literal"
         ):
             return
+        if isinstance(node, ast.Subscript):
+            self.indices.update(node.slice.elts if isinstance(node.slice, ast.Tuple) else [node.slice])
+        elif isinstance(node, ast.keyword) and node.arg == "axis":
+            self.indices.add(node.value)
         if isinstance(node, ast.UnaryOp) and isinstance(node.op, ast.Not):
             self.add(node, "comparison", [f"({self.text(node.operand)})"])
         elif isinstance(node, ast.BoolOp):
@@ -125,7 +132,8 @@ class Sites(ast.NodeVisitor):
             self.add(node, "sign", [f"({self.text(node.operand)})"])
         elif isinstance(node, ast.Constant) and type(node.value) in (int, float):
             kind = "number" if self.depth else "constant"
-            self.add(node, kind, self.other_numbers(node.value))
+            is_index = node in self.indices and node.value > 0
+            self.add(node, kind, [f"{node.value - 1}"] if is_index else self.other_numbers(node.value))
         self.generic_visit(node)
 
     @staticmethod
