@@ -213,6 +213,7 @@ def joined(steps):
         (lambda frames: changed(wave(frames=frames), words=["scramble-phase"]), 3, 2),
         (lambda sd: smoothed(np.zeros((1100, 1)), cutoff_of(sd), 25.0), 1099, 1101),  # SD, of as many frames
         (lambda sd: smoothed(np.zeros((10_500, 1)), cutoff_of(sd), 25.0), 100, 10_200),
+        (lambda frames: changed(wave(frames=frames), words=["reverse"]), 2, 1),
         (lambda hz: smoothed(wave().loadings_sd, hz, 25.0), 12.4, 12.5),
         (joined, 1050, 10_001),
         (lambda share: drawn_sd(np.random.default_rng(0), 1, 1, spread=1.0, max_sd=share), 0.011, 0.0099),
