@@ -111,6 +111,9 @@ class Build:
     from_neighbour : array (n,) bool
         Frames whose flow started from a neighbour's.
     trials : tuple of WeightTrial
+        Empty if the weight was given.
+    held_out_db : float or None, dB
+        Mean PSNR of frames drawn from components of the others; None if there are too few frames, or nothing moves.
     warnings : tuple of str
     frame_files : tuple of n Path
         In the work folder.
@@ -127,6 +130,7 @@ class Build:
     confidence_map: Mask
     from_neighbour: AnyArray
     trials: tuple[WeightTrial, ...]
+    held_out_db: float | None
     warnings: tuple[str, ...]
     frame_files: tuple[Path, ...] = field(repr=False)
     faces_found: AnyArray | None = None
@@ -196,6 +200,7 @@ def build_steps(
         confidence_map=measured.confidence_map,
         from_neighbour=measured.from_neighbour,
         trials=components.trials,
+        held_out_db=components.held_out_db,
         warnings=warnings + without_keypoints,
         frame_files=tuple(files),
         faces_found=None
@@ -458,6 +463,8 @@ class _Components:
     weight : float
         Warp weight, colour per px.
     trials : tuple of WeightTrial
+        Empty if the weight was given.
+    held_out_db : float or None, dB
     """
 
     mean: AnyArray
@@ -465,6 +472,7 @@ class _Components:
     loadings: LoadingTable
     weight: float
     trials: tuple[WeightTrial, ...]
+    held_out_db: float | None
 
 
 def _component_pass(
@@ -473,18 +481,18 @@ def _component_pass(
     """Choose the warp weight and compute the principal components of the morphs."""
     mean = mean_row(rows)
     yield Step("components", 1, 4)
-    trials: tuple[WeightTrial, ...] = ()
-    weight = settings.warp_weight
-    if weight is None:
-        trials = trial_weights(rows, mean, mask, settings.components, files, read_aligned)
-        weight = best_trial(trials)
+    given = settings.warp_weight
+    asked = () if given is None else (given,)
+    trials = trial_weights(rows, mean, mask, settings.components, files, read_aligned, asked)
+    held_out_db = max((trial.psnr_db for trial in trials), default=None)
+    weight = best_trial(trials) if given is None else given
     yield Step("components", 2, 4)
     product = inner_product(mask, weight)
     gram = gram_matrix(rows, mean, product, 0, rows.shape[1])
     yield Step("components", 3, 4)
     basis, loadings = basis_from_gram(rows, mean, product, gram, settings.components)
     yield Step("components", 4, 4)
-    return _Components(mean, basis, loadings, weight, trials)
+    return _Components(mean, basis, loadings, weight, trials if given is None else (), held_out_db)
 
 
 def _provenance_of_build(

@@ -7,7 +7,7 @@ G_texture + s^2 G_warp, so several values cost little more than one.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -49,8 +49,9 @@ def trial_weights(
     components: int,
     frames: list[Path],
     load: Callable[[Path], Image],
+    weights: Sequence[float] = (),
 ) -> tuple[WeightTrial, ...]:
-    """Cross-validate the warp weights of `FACTORS`.
+    """Cross-validate warp weights: those of `FACTORS`, or the given ones.
 
     Held-out frames are projected on components of the others, rendered, and compared with their pictures inside the
     mask. At most `TRIED_FRAMES` rows, evenly spread, take part.
@@ -66,6 +67,8 @@ def trial_weights(
         The largest number of components.
     frames, load
         The file of each row, and the function that reads its aligned picture (h, w, 3).
+    weights : sequence of float, colour per px
+        The weights to try; empty for the balanced one times `FACTORS`.
 
     Returns
     -------
@@ -85,11 +88,12 @@ def trial_weights(
     if min(np.trace(texture_gram) / STILL_COLOUR2, np.trace(warp_gram) / STILL_PX2) <= n * float(mask.sum()):
         return ()
     balanced = float(np.sqrt(np.trace(texture_gram) / np.trace(warp_gram)))
+    tried = tuple(weights) or tuple(factor * balanced for factor in FACTORS)
     held = np.arange(n // (2 * min(HELD_OUT, n // 3)), n, max(3, n // HELD_OUT))[:HELD_OUT]
     kept = np.setdiff1d(np.arange(n), held)
     k = max(1, min(components, int(LARGEST_SHARE * len(kept))))
-    mixes = [_mixes(texture_gram + (factor * balanced) ** 2 * warp_gram, held, kept, k) for factor in FACTORS]
-    vectors = np.empty((len(FACTORS) * len(held), rows.shape[1]), np.float32)
+    mixes = [_mixes(texture_gram + weight**2 * warp_gram, held, kept, k) for weight in tried]
+    vectors = np.empty((len(tried) * len(held), rows.shape[1]), np.float32)
     nothing = np.zeros(rows.shape[1], np.float32)
     combine_rows(RowSubset(rows, chosen[kept]), np.concatenate(mixes), nothing, vectors)
     images = [load(frames[chosen[index]]) for index in held]
@@ -98,11 +102,8 @@ def trial_weights(
         face = Morph(vectors[number], mask.shape, "held out")
         return psnr_db(face.render(), images[number % len(held)], mask)
 
-    scores = np.reshape(list(in_order(score, range(len(vectors)))), (len(FACTORS), len(held)))
-    trials = [
-        WeightTrial(factor * balanced, float(row.mean())) for factor, row in zip(FACTORS, scores, strict=True)
-    ]
-    return tuple(trials)
+    scores = np.reshape(list(in_order(score, range(len(vectors)))), (len(tried), len(held)))
+    return tuple(WeightTrial(weight, float(row.mean())) for weight, row in zip(tried, scores, strict=True))
 
 
 def _mixes(gram: AnyArray, held: AnyArray, kept: AnyArray, components: int) -> AnyArray:

@@ -167,12 +167,15 @@ def build_page(build: Build, figures: FrameFigures, *, source_size: tuple[int, i
 
 def _key_figures(build: Build, figures: FrameFigures, explained: str) -> list[tuple[str, str]]:
     model, psnr, folds = build.model, figures.psnr_db, figures.fold_fractions
+    held_out = build.held_out_db
+    first = [(f"{held_out:.1f} dB", "PSNR of frames left out of the components")] if held_out else []
     return [
+        *first,
         (f"{len(model.training.frame_names)}", "frames"),
         (f"{model.size[0]} {TIMES} {model.size[1]}", f"px, width {TIMES} height"),
         (f"{model.rank}", "components"),
         (explained, "of variance explained"),
-        (f"{np.median(psnr):.1f} dB", "PSNR, median frame"),
+        (f"{np.median(psnr):.1f} dB", "PSNR, median training frame"),
         (f"{np.percentile(psnr, 10):.1f} dB", "PSNR, 10th percentile"),
         (percent(folds.mean(), 2), f"of the face folds; {percent(folds.max(), 2)} in the worst frame"),
     ]

@@ -105,6 +105,7 @@ def run(request: BuildModelRequest) -> Steps[Outcome]:
         f"{output}: {model.identity}, {len(clip)} frames, {model.size[0]}x{model.size[1]}, "
         f"{model.rank} components ({share:.1%} of the variance)",
         f"reference {build.choice.name}: {build.choice.reason}",
+        *_held_out_lines(build),
         f"training frames are reconstructed at {np.median(psnr):.1f} dB (median), {np.percentile(psnr, 10):.1f} dB "
         f"(10th percentile); {build.fold_fractions.mean():.2%} of the warp folds",
         f"flow {model.flow}: confidence {build.confidences.mean():.2f} (mean), {build.confidences.min():.2f} (lowest); "
@@ -123,6 +124,7 @@ def run(request: BuildModelRequest) -> Steps[Outcome]:
         "variance_explained": share,
         "reference": build.choice.name,
         "warp_weight": model.warp_weight,
+        "psnr_db_held_out": build.held_out_db,
         "psnr_db_median": float(np.median(psnr)),
         "psnr_db_10th_percentile": float(np.percentile(psnr, 10)),
         "fold_fraction": float(build.fold_fractions.mean()),
@@ -137,6 +139,12 @@ def run(request: BuildModelRequest) -> Steps[Outcome]:
     return Outcome(
         lines, document, (*made.notes, *dict.fromkeys((*build.warnings, *advice))), (output, report)
     )
+
+
+def _held_out_lines(build: Build) -> tuple[str, ...]:
+    if build.held_out_db is None:
+        return ()
+    return (f"frames left out of the components are reconstructed at {build.held_out_db:.1f} dB (mean)",)
 
 
 def _found_lines(build: Build) -> tuple[str, ...]:

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
 
 from morphspace.requests import Model, declared
+from morphspace.settings import Help, Option
 
 if TYPE_CHECKING:
     from morphspace.model.model import MorphModel
@@ -21,6 +23,11 @@ class InfoRequest:
     """Describe MODEL and its origin, and check that its file is undamaged."""
 
     model: Model
+    loadings: Annotated[
+        Path | None,
+        Option(metavar="TABLE.csv"),
+        Help("Also write the loadings of the frames that the model was built from, in SD."),
+    ] = None
 
 
 def _faceframe_words(model: MorphModel) -> str:
@@ -70,7 +77,9 @@ def run(request: InfoRequest) -> Steps[Outcome]:
     from morphspace.model.landmarks import error_summary
     from morphspace.model.model import load_model, points_document
     from morphspace.outcome import Outcome
+    from morphspace.sets.protect import Output, check_file, writing
     from morphspace.steps import Step
+    from morphspace.verbs.encode import write_loadings
 
     model = load_model(request.model)
     yield Step("check", 0, 1)
@@ -119,4 +128,13 @@ def run(request: InfoRequest) -> Steps[Outcome]:
         "training_frames": list(model.training.frame_names),
         "provenance": dict(origin),
     }
-    return Outcome(tuple(lines), document)
+    if request.loadings is None:
+        return Outcome(tuple(lines), document)
+    table = request.loadings
+    check_file(table, ".csv")
+    with writing(Output("info", table, (table, table.with_suffix(".json")), inputs=(request.model,))):
+        written = write_loadings(
+            table, model.training, model, request.model, dict(origin.get("inputs") or {})
+        )
+    lines.append(f"{table}: the loadings of {len(model.training.frame_names)} frames, in SD")
+    return Outcome(tuple(lines), {**document, "table": str(table)}, written=written)
