@@ -25,7 +25,9 @@ from morphspace.outcome import versions
 from morphspace.steps import Steps
 from morphspace.storage import digest_of_array
 
-DEFAULT_SIDE_PX = 400  # px, longer side; larger frames are scaled to `DEFAULT_SIZE`
+DEFAULT_SIDE_PX = 400  # px, longer side; frames of a larger video are scaled to `DEFAULT_SIZE`
+MOST_STILL_PX = 1_000_000  # px in all; larger photographs are scaled too, because builds would need gigabytes
+FLOATS_PER_PIXEL = 5  # of a morph: three colours and a displacement
 MOST_WEIGHT = 1000.0  # colour per px; builds choose 0.02 to 0.1
 LEAST_FACEFRAME_PX = 4.0  # px; nearer points do not determine a face's position
 DEFAULT_SIZE = (200, 240)  # px, w and h (Nagle et al., section 2)
@@ -43,7 +45,7 @@ class ClipSettings:
     components : int
         The largest number of components.
     size : (w, h) px, optional
-        Of the model's frames; None for the frames' own size, or 200 x 240 if they are larger than 400 px.
+        Of the model's frames; None for `default_size`.
     crop : (x, y, w, h) px or "auto", optional
         A box of every frame, or "auto" for a box around the head.
     landmarks : {"auto", "anchor", "none"}
@@ -121,13 +123,9 @@ def build_clip(clip: Clip, asked: ClipSettings, work_folder: Path) -> Steps[tupl
         width, height = asked.size or DEFAULT_SIZE
         found_crop = yield from crop_steps(clip, detector or load_detector(), width / height)
         crop = found_crop.box
-    framing = Framing(clip.size, crop, asked.size or default_size(clip.size, crop))
+    framing = Framing(clip.size, crop, asked.size or default_size(clip, crop))
     source = FramedClip(clip, framing)
-    if max(framing.cut_off) > 0:
-        notes.append(
-            f"frames of {framing.box[2]}x{framing.box[3]} are scaled to {framing.scaled_size[0]}x"
-            f"{framing.scaled_size[1]} and cropped to the middle {framing.size[0]}x{framing.size[1]}"
-        )
+    notes += size_notes(framing, asked)
     mask, mask_digest = _mask(asked.mask, framing, clip.size)
     faceframe, faceframe_index, faceframe_notes = marked_faceframe(clip, framing)
     notes += faceframe_notes
@@ -155,18 +153,43 @@ def source_size(size: tuple[int, int], crop: tuple[int, int, int, int] | None) -
     return size if crop is None else (crop[2], crop[3])
 
 
-def default_size(size: tuple[int, int], crop: tuple[int, int, int, int] | None) -> tuple[int, int]:
+def default_size(clip: Clip, crop: tuple[int, int, int, int] | None) -> tuple[int, int]:
     """Return the default frame size (w, h) px of a model: the frames' own, or 200 x 240 if they are large.
 
-    Examples
-    --------
-    >>> default_size((1920, 1080), None)
-    (200, 240)
-    >>> default_size((1920, 1080), (0, 0, 160, 192))
-    (160, 192)
+    Frames of a video are large above `DEFAULT_SIDE_PX`, stills above `MOST_STILL_PX`.
     """
-    used = source_size(size, crop)
-    return DEFAULT_SIZE if max(used) > DEFAULT_SIDE_PX else used
+    used = source_size(clip.size, crop)
+    is_large = (
+        used[0] * used[1] > MOST_STILL_PX if clip.video_indices is None else max(used) > DEFAULT_SIDE_PX
+    )
+    return DEFAULT_SIZE if is_large else used
+
+
+def size_notes(framing: Framing, asked: ClipSettings) -> tuple[str, ...]:
+    """Note that frames are scaled or cropped, or large, with the size of the model file at other sizes."""
+    used, size = framing.box[2:], framing.size
+
+    def megabytes(width: int, height: int) -> str:
+        return f"{asked.components * FLOATS_PER_PIXEL * 4 * width * height / 1e6:.0f} MB"
+
+    is_cropped = max(framing.cut_off) > 0
+    words = []
+    if is_cropped or (used != size and asked.size is None):
+        cropped = f" and cropped to the middle {size[0]}x{size[1]}" if is_cropped else ""
+        scaled = framing.scaled_size
+        words.append(f"frames of {used[0]}x{used[1]} are scaled to {scaled[0]}x{scaled[1]}{cropped}")
+    count = asked.components
+    if asked.size is None and used != size:
+        words.append(
+            f"--size keeps more: {count} components of {used[0]}x{used[1]} px have {megabytes(*used)}, these have "
+            f"{megabytes(*size)}"
+        )
+    elif asked.size is None and max(used) > DEFAULT_SIDE_PX:
+        words.append(
+            f"the frames keep their {size[0]}x{size[1]} px: {count} components have {megabytes(*size)}; with --size "
+            f"{DEFAULT_SIZE[0]}x{DEFAULT_SIZE[1]} they have {megabytes(*DEFAULT_SIZE)}"
+        )
+    return ("; ".join(words),) if words else ()
 
 
 def _mask(

@@ -163,7 +163,7 @@ def ready_model(
 def _found(clip: Clip, folder: Path, components: int) -> tuple[Path, MorphModel | None]:
     """Return the model of this clip with these settings and its path; without one, None and a free path."""
     inputs = dict(zip(clip.frame_names, clip.digests(), strict=True))
-    size = default_size(clip.size, None)
+    size = default_size(clip, None)
     number = 1
     while True:
         path = folder / f"{clip.name}{'' if number == 1 else f'-{number}'}{MODEL_SUFFIX}"

@@ -31,7 +31,10 @@ class BuildModelRequest:
     ] = 50
     size: Annotated[
         Size | None,
-        Help("Size of the model's frames, px; frames are scaled to cover it and cropped centrally."),
+        Help(
+            "Size of the model's frames, px; frames are scaled to cover it and cropped centrally. A component needs "
+            "20 bytes a pixel [default: the frames' own, or 200x240 for a video above 400 px or stills above 1 Mpx]."
+        ),
     ] = None
     crop: Annotated[
         Crop | Literal["auto"] | None,
