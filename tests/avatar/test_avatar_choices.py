@@ -7,7 +7,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 from morphspace.avatar import AvatarSettings
-from morphspace.avatar.build import checked, told_together
+from morphspace.avatar.build import _nearest_to_rest, checked, told_together
 from morphspace.avatar.notes import notes_on
 from morphspace.avatar.pair import pair_model
 from morphspace.avatar.prepared import studio_of
@@ -103,6 +103,17 @@ def test_three_expressions_are_the_least(model):
     assert len(checked([of_frames(people[0], 2), of_frames(people[1], 1)], settings_of())[1]) == 3
     with pytest.raises(BadInput, match="2 expressions are too few"):
         checked([of_frames(one, 1) for one in people], settings_of())
+
+
+def test_the_expression_nearest_to_its_own_mean_is_that_of_the_least_loadings(drawn_anna, drawn_ben):
+    studio = studio_of([drawn_anna.model, drawn_ben.model], settings_of(expressions=6))
+    chosen = studio.chosen()
+    far = [
+        np.square(studio.cast.models[source].training.values[frame] / studio.cast.models[source].sd).mean()
+        for source, frame in chosen
+    ]
+    assert _nearest_to_rest(studio, chosen) == np.argmin(far)
+    assert _nearest_to_rest(studio, chosen[::-1]) == len(far) - 1 - np.argmin(far)
 
 
 def test_a_place_is_that_of_its_label_and_a_method_follows_the_landmarks(drawn_anna, model):

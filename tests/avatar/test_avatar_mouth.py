@@ -10,7 +10,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from morphspace.avatar.blend import Mixer
 from morphspace.avatar.common_grid import CommonFace, Laid
-from morphspace.avatar.mouth import Landmarks, Matcher
+from morphspace.avatar.mouth import Landmarks, Matcher, _sure
 from morphspace.avatar.versions import LEAST, Version
 from morphspace.face.faceframe import FaceFrame
 from morphspace.face.mesh import INNER_LIPS, LANDMARKS, OUTER_LIPS, POINT_COUNT, RIGID_POINTS
@@ -147,6 +147,14 @@ def test_landmarks_that_err_by_more_than_they_are_off_move_nothing(model, anna):
     assert (
         np.abs(out[1].displacement).max() < 0.1
     )  # px: the pictures are the same, and the points say otherwise
+
+
+def test_what_landmarks_are_off_is_doubted_by_the_errors_of_both():
+    """DOUBT: 2.5 times both errors; 5 px off with errors of 1.2 and 1.6 px count as 5 x 25 / 50."""
+    off = np.array([[3.0, 4.0], [3.0, 4.0], [0.0, 0.0]])
+    errors = np.array([1.2, 0.0, 1.0]), np.array([1.6, 0.0, 0.0])
+    one, other = (Landmarks(np.zeros((3, 2)), each) for each in errors)
+    assert_allclose(_sure(off, one, other), [[1.5, 2.0], [3.0, 4.0], [0.0, 0.0]])
 
 
 def test_a_person_without_landmarks_stays_as_at_rest(anna, ben):

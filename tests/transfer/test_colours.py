@@ -10,6 +10,7 @@ from numpy.testing import assert_allclose
 from morphspace.face.expression import ring_gaps
 from morphspace.face.faceframe import FaceFrame
 from morphspace.face.mesh import LANDMARKS, landmark_places
+from morphspace.model.keypoints import moved_by_components
 from morphspace.model.landmarks import LandmarkRegression
 from morphspace.transfer import colours
 from morphspace.transfer.colours import MixedColours
@@ -131,6 +132,79 @@ def test_the_mouth_is_chosen_by_lips_and_the_eyes_by_lids(person):
     upper, lower, _ = texturing.parts
     assert not upper.shape[0].any() and upper.shape[1].any()
     assert not lower.shape[1].any() and lower.shape[0].any()
+
+
+def about_middle(moved):
+    return moved - moved.mean(axis=0)
+
+
+def length(*features):
+    """The length of features (m, 2), each root mean square."""
+    return np.sqrt(sum((one**2).sum() / len(one) for one in features))
+
+
+def lids_brows_and_lips(moved):
+    """The features of both parts from moved landmarks (m, 2): about their middles, and gaps twice (OPENING)."""
+    lids, brows, outer, inner = (
+        moved[landmark_places(name)] for name in ("lids", "brows", "outer lips", "inner lips")
+    )
+    eyes = lids[:16], lids[16:]
+    upper = [
+        *map(about_middle, eyes),
+        *(2 * ring_gaps(eye[None])[0] for eye in eyes),
+        brows - lids.mean(axis=0),
+    ]
+    return upper, [about_middle(np.concatenate([outer, inner])), 2 * ring_gaps(inner[None])[0]]
+
+
+@pytest.mark.parametrize("person", ["by landmarks"], indirect=True)
+def test_faces_are_compared_by_the_shape_of_lids_brows_and_lips(person):
+    """In eye distances: of a face and its loadings, what its landmarks move."""
+    right, left, _ = FRAME.points
+    eyes_px = np.hypot(*(np.array(left) - right))
+    loadings = 1.3 * person.sd * (1, -1, 1)
+    moved = np.tensordot(loadings, person.landmarks.weights, 1) / eyes_px
+    for part, features in zip(MixedColours(person).parts, lids_brows_and_lips(moved), strict=False):
+        assert np.linalg.norm(loadings @ part.shape) == pytest.approx(length(*features))
+
+
+def test_movement_in_colour_alone_counts_for_lids_and_brows(drawn_anna):
+    model = drawn_anna.model
+    right, left, _ = model.faceframe.points
+    points = np.asarray(model.provenance["keypoints"]["points"])[list(LANDMARKS)]
+    eyes_px, loadings = np.hypot(*(left - right)), model.sd * (1, -1, 1, -1, 1, 1)
+    moved, by_warp = (
+        np.tensordot(loadings, each, 1) / eyes_px
+        for each in (model.landmarks.weights, moved_by_components(model, points))
+    )
+    upper, lower = lids_brows_and_lips(moved)
+    upper += [(moved - by_warp)[landmark_places(name)] for name in ("lids", "brows")]
+    for part, features in zip(MixedColours(model).parts, (upper, lower), strict=False):
+        assert np.linalg.norm(loadings @ part.shape) == pytest.approx(length(*features))
+
+
+def test_where_landmarks_are_unknown_faces_are_compared_by_their_warp(model):
+    """Root mean square over the part, in eye distances; the surroundings always are."""
+    person = model.with_faceframe(FRAME)
+    right, left, _ = (np.array(point) for point in FRAME.points)
+    loadings = 1.3 * person.sd * (1, -1, 1)
+    square = (person.displacement_offset(loadings) ** 2).sum(axis=2).reshape(-1)
+    texturing = MixedColours(person)
+    inside = person.mask.reshape(-1)
+    around = texturing.parts[2]
+    expected = np.sqrt((square * (1 - inside)).sum() / (1 - inside).sum()) / np.hypot(*(left - right))
+    assert np.linalg.norm(loadings @ around.shape) == pytest.approx(expected, rel=1e-4)
+    both = [np.linalg.norm(loadings @ part.shape) for part in texturing.parts[:2]]
+    whole = np.sqrt((square * inside).sum() / inside.sum()) / np.hypot(*(left - right))
+    assert min(both) < whole < max(both)
+
+
+def test_a_model_without_training_faces_has_the_colours_of_its_mean(model):
+    person = model.with_faceframe(FRAME)
+    empty = replace(
+        person, training=replace(person.training, values=person.training.values[:0], frame_names=())
+    )
+    assert_allclose(MixedColours(empty).change(2 * person.sd), 0, atol=1e-7)
 
 
 def test_gaps_are_between_points_that_face_each_other():
