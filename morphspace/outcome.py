@@ -13,13 +13,16 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from functools import cache
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any, Literal, TypedDict
+
+from annotated_types import Len
 
 from morphspace import __version__
+from morphspace.documents import Digest, Digests, Document, Versions
+from morphspace.settings import Pattern
 from morphspace.storage import digest_of_file, json_text, write_text
 
 RECORD_NAME = "record.json"
-RECORD_FORMAT = "morphspace-record"
 COMPUTING_PACKAGES = (
     "numpy",
     "scipy",
@@ -28,6 +31,23 @@ COMPUTING_PACKAGES = (
     "OpenImageIO",
     "av",
 )
+
+
+class Record(TypedDict):
+    """The entries of a record (data_spec/record.md)."""
+
+    format: Literal["morphspace-record"]
+    version: Literal[1]
+    verb: Annotated[str, Pattern("[a-z]+(-[a-z]+)*", "the name of a verb")]
+    settings: dict[str, Any]
+    inputs: Digests
+    outputs: Annotated[
+        dict[Annotated[str, Pattern(r"(?!record\.json$)[^/].*", "a path below the folder")], Digest], Len(1)
+    ]
+    versions: Versions
+
+
+RECORD = Document("record", "morphspace record, version 1", Record)
 
 
 @dataclass(frozen=True)
@@ -92,8 +112,8 @@ def write_record_of(
     digests: Mapping[str, str],
 ) -> Path:
     """Write a record like `write_record`, for outputs with known digests (path relative to the folder, to digest)."""
-    record = {
-        "format": RECORD_FORMAT,
+    record: Record = {
+        "format": "morphspace-record",
         "version": 1,
         "verb": verb,
         "settings": dict(settings),

@@ -22,7 +22,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from annotated_types import Ge, Gt, Le
+from annotated_types import Ge, Gt, Le, Len
 
 from morphspace.errors import BadInput
 
@@ -82,6 +82,14 @@ class OneOf:
 
 
 @dataclass(frozen=True)
+class Pattern:
+    """The regular expression that a text matches from start to end; `words` say what such a text is."""
+
+    regex: str
+    words: str
+
+
+@dataclass(frozen=True)
 class Spelled:
     """The word for None in a text, such as auto or all."""
 
@@ -118,13 +126,13 @@ class Field:
     @property
     def help(self) -> str:
         """Return the help, one or two sentences."""
-        mark = _mark(self.marks, Help)
+        mark = mark_of(self.marks, Help)
         return "" if mark is None else mark.text
 
     @property
     def argument(self) -> Argument | None:
         """Return the mark of a setting that is given without an option, or None."""
-        return _mark(self.marks, Argument)
+        return mark_of(self.marks, Argument)
 
     @property
     def flags(self) -> tuple[str, ...]:
@@ -141,7 +149,7 @@ class Field:
     @property
     def spoken(self) -> str:
         """Return the name on the command line; empty if the setting is not on it."""
-        if _mark(self.marks, NotAnOption) is not None:
+        if mark_of(self.marks, NotAnOption) is not None:
             return ""
         return self.flags[-1] if self.argument is None else self.argument.metavar
 
@@ -160,7 +168,7 @@ class Field:
     def limits(self) -> str:
         """Describe the limits of a number; empty if there are none."""
         values = self.values
-        return _limits(self.marks if values is None else _bare(values[0])[1])
+        return _limits(self.marks if values is None else kind_and_marks(values[0])[1])
 
     @property
     def names_files(self) -> bool:
@@ -170,14 +178,14 @@ class Field:
     @property
     def values(self) -> tuple[Any, ...] | None:
         """Return the kinds of a list's values, ending in `...` for any number of them; None if it is no list."""
-        members = typing.get_args(self.kind) if _is_union(self.kind) else (self.kind,)
+        members = typing.get_args(self.kind) if is_union(self.kind) else (self.kind,)
         return next((typing.get_args(one) for one in members if typing.get_origin(one) is tuple), None)
 
     @property
     def word_count(self) -> int | None:
         """Return the number of command line words, None for any number; a list of numbers is one word with commas."""
         values = self.values
-        if values is None or _mark(self.marks, Separated) is not None:
+        if values is None or mark_of(self.marks, Separated) is not None:
             return 1
         if values[-1] is not Ellipsis:
             return len(values)
@@ -189,11 +197,11 @@ class Field:
         if self.required or self.default is False or self.default == ():
             return ""
         if self.default is None:
-            spelled = _mark(self.marks, Spelled)
+            spelled = mark_of(self.marks, Spelled)
             return "" if spelled is None else spelled.nothing
         if not isinstance(self.default, tuple):
             return _spelled(self.default)
-        separated = _mark(self.marks, Separated)
+        separated = mark_of(self.marks, Separated)
         usual = "," if typing.get_args(self.kind)[-1] is Ellipsis else " "
         return (separated.by[0] if separated else usual).join(map(_spelled, self.default))
 
@@ -202,37 +210,37 @@ def _spelled(value: Any) -> str:
     return f"{value:g}" if isinstance(value, float) else str(value)
 
 
-def _is_union(kind: Any) -> bool:
+def is_union(kind: Any) -> bool:
     return typing.get_origin(kind) in (typing.Union, types.UnionType)
 
 
 def _is_number(kind: Any) -> bool:
-    return _bare(kind)[0] in (int, float)
+    return kind_and_marks(kind)[0] in (int, float)
 
 
 def field_of(name: str, annotation: Any, default: Any = dataclasses.MISSING) -> Field:
     """Read the declaration of one setting."""
-    return Field(name, *_bare(annotation), default)
+    return Field(name, *kind_and_marks(annotation), default)
 
 
-def _bare(kind: Any, marks: tuple[Any, ...] = ()) -> tuple[Any, tuple[Any, ...]]:
+def kind_and_marks(kind: Any, marks: tuple[Any, ...] = ()) -> tuple[Any, tuple[Any, ...]]:
     """Separate a type from its marks; the marks of a union's members apply to the whole unless it has its own."""
     if typing.get_origin(kind) is Annotated:
         inner, *own = typing.get_args(kind)
-        return _bare(inner, (*own, *marks))
-    if _is_union(kind):
-        members = [_bare(member) for member in typing.get_args(kind)]
+        return kind_and_marks(inner, (*own, *marks))
+    if is_union(kind):
+        members = [kind_and_marks(member) for member in typing.get_args(kind)]
         inner_marks = [mark for _, member_marks in members for mark in member_marks]
         return typing.Union[tuple(member for member, _ in members)], (*inner_marks, *marks)  # noqa: UP007
     return kind, marks
 
 
 def _names_files(kind: Any, marks: tuple[Any, ...] = ()) -> bool:
-    kind, marks = _bare(kind, marks)
-    return _mark(marks, NamesFile) is not None or any(map(_names_files, typing.get_args(kind)))
+    kind, marks = kind_and_marks(kind, marks)
+    return mark_of(marks, NamesFile) is not None or any(map(_names_files, typing.get_args(kind)))
 
 
-def _mark(marks: tuple[Any, ...], kind: type) -> Any:
+def mark_of(marks: tuple[Any, ...], kind: type) -> Any:
     """Return the last mark of a kind, which is the most specific, or None."""
     return next((mark for mark in reversed(marks) if isinstance(mark, kind)), None)
 
@@ -281,7 +289,7 @@ def converted(field: Field, given: Any, place: Callable[[str], Path] = Path) -> 
     try:
         return _converted(given, field.kind, field.marks, place)
     except _OtherKind as error:
-        raise WrongSetting(field.name, f"is {_shown(given)}; expected {field.words}") from error
+        raise WrongSetting(field.name, f"is {shown(given)}; expected {field.words}") from error
 
 
 def check_decimal_points(field: Field, given: Any) -> None:
@@ -295,15 +303,15 @@ def check_decimal_points(field: Field, given: Any) -> None:
     values = field.values
     if values is None or values[-1] is not Ellipsis or not _is_number(values[0]):
         return
-    if isinstance(given, str) and "," in given and _mark(field.marks, Separated) is None:
+    if isinstance(given, str) and "," in given and mark_of(field.marks, Separated) is None:
         rest = "expected decimal points, and semicolons between numbers. Replace the commas"
-        raise WrongSetting(field.name, f"is {_shown(given)}; {rest}")
+        raise WrongSetting(field.name, f"is {shown(given)}; {rest}")
 
 
 def _converted(given: Any, kind: Any, marks: tuple[Any, ...], place: Callable[[str], Path]) -> Any:
-    kind, marks = _bare(kind, marks)
+    kind, marks = kind_and_marks(kind, marks)
     origin = typing.get_origin(kind)
-    if _is_union(kind):
+    if is_union(kind):
         return _of_union(given, kind, marks, place)
     if origin is tuple:
         return _of_tuple(given, kind, marks, place)
@@ -312,7 +320,7 @@ def _converted(given: Any, kind: Any, marks: tuple[Any, ...], place: Callable[[s
             if isinstance(given, str) and given in (value, value.removeprefix(".")):  # mp4 means .mp4
                 return value
     elif kind is type(None):
-        spelled = _mark(marks, Spelled)
+        spelled = mark_of(marks, Spelled)
         if given is None or (spelled is not None and given == spelled.nothing):
             return None
     elif kind is bool:
@@ -356,7 +364,7 @@ def _of_tuple(given: Any, kind: Any, marks: tuple[Any, ...], place: Callable[[st
 
 def _separators(inner: tuple[Any, ...], marks: tuple[Any, ...]) -> str:
     """Return the pattern of the separators in a list that is written as one text."""
-    separated = _mark(marks, Separated)
+    separated = mark_of(marks, Separated)
     usual = NUMBER_SEPARATORS if _is_number(inner[0]) else TEXT_SEPARATORS
     by = usual if separated is None else separated.by + usual
     return f"[{by}]+" if " " in by else f"[{by}]"
@@ -375,14 +383,19 @@ def _number(given: Any, kind: Any, marks: tuple[Any, ...]) -> float | int:
     number: float | int = kind(given)
     if number != given and kind is int:
         raise _OtherKind
-    low, above, high = (_mark(marks, limit) for limit in (Ge, Gt, Le))
-    if (
+    if not within(number, marks):
+        raise _OtherKind
+    return number
+
+
+def within(number: float, marks: tuple[Any, ...]) -> bool:
+    """Return whether a number respects the limits among the marks."""
+    low, above, high = (mark_of(marks, limit) for limit in (Ge, Gt, Le))
+    return not (
         (low is not None and number < low.ge)
         or (above is not None and number <= above.gt)
         or (high is not None and number > high.le)
-    ):
-        raise _OtherKind
-    return number
+    )
 
 
 def _text(given: Any, marks: tuple[Any, ...], place: Callable[[str], Path]) -> str:
@@ -390,13 +403,14 @@ def _text(given: Any, marks: tuple[Any, ...], place: Callable[[str], Path]) -> s
         given = repr(given)
     elif isinstance(given, os.PathLike):
         given = os.fspath(given)
-    choice = _mark(marks, OneOf)
+    choice = mark_of(marks, OneOf)
     if not isinstance(given, str) or not given.strip() or (choice is not None and given not in choice.values):
         raise _OtherKind
-    return str(place(given)) if _mark(marks, NamesFile) is not None else given
+    return str(place(given)) if mark_of(marks, NamesFile) is not None else given
 
 
-def _shown(given: Any) -> str:
+def shown(given: Any) -> str:
+    """Return a refused value for a message, cut if it is long."""
     if isinstance(given, str) and not given.strip():
         return "empty"
     if isinstance(given, str) and re.fullmatch(NUMBER_PATTERN, given):
@@ -410,25 +424,40 @@ def _shown(given: Any) -> str:
 
 def worded(kind: Any, marks: tuple[Any, ...] = (), *, many: bool = False) -> str:
     """Describe a value of an annotated kind, or several (`many`)."""
-    kind, marks = _bare(kind, marks)
+    kind, marks = kind_and_marks(kind, marks)
     origin, inner = typing.get_origin(kind), typing.get_args(kind)
-    if _is_union(kind):
+    if is_union(kind):
         members = list(filter(None, dict.fromkeys(worded(member, marks, many=many) for member in inner)))
         return (", or " if any("," in member for member in members) else " or ").join(members)
     if origin is tuple:
-        separated = _mark(marks, Separated)
+        separated = mark_of(marks, Separated)
         like = "" if separated is None else f", such as {separated.example}"
         values = worded(inner[0], many=True)
         if many:
             return f"pairs of {values}" if len(inner) == 2 else f"lists of {values}"
         return f"{'a list of' if inner[-1] is Ellipsis else len(inner)} {values}{like}"
+    if origin is list:
+        length, values = mark_of(marks, Len), worded(inner[0], many=True)
+        if length is not None and length.min_length == length.max_length:
+            counted = f"{length.min_length} {values}"
+            return (
+                (f"pairs of {values}" if length.min_length == 2 else f"lists of {counted}")
+                if many
+                else counted
+            )
+        least = "" if length is None or many else f", {length.min_length} or more"
+        return f"{'lists' if many else 'a list'} of {values}{least}"
+    if origin is dict or typing.is_typeddict(kind):
+        return "objects" if many else "an object"
     if kind is type(None):
-        spelled = _mark(marks, Spelled)
+        spelled = mark_of(marks, Spelled)
         return "" if spelled is None else spelled.nothing
-    choice = _mark(marks, OneOf)
+    choice, pattern = mark_of(marks, OneOf), mark_of(marks, Pattern)
     if origin is Literal or choice is not None:
-        choices = inner if choice is None else choice.values
-        return "one of " + ", ".join(choices) if len(choices) > 1 else str(choices[0])
+        choices = list(map(str, inner if choice is None else choice.values))
+        return "one of " + ", ".join(choices) if len(choices) > 1 else choices[0]
+    if pattern is not None and not many:
+        return str(pattern.words)
     one = {
         int: "a whole number",
         float: "a number",
@@ -437,12 +466,12 @@ def worded(kind: Any, marks: tuple[Any, ...] = (), *, many: bool = False) -> str
         bool: "true or false",
     }.get(kind, "a mapping")
     words = f"{one.removeprefix('a ')}s" if many else one
-    return f"{words} {_limits(marks)}".rstrip()
+    return f"{words} {_limits(marks)}".rstrip() if kind in (int, float) else words
 
 
 def _limits(marks: tuple[Any, ...]) -> str:
     """Describe the limits of a number."""
-    low, above, high = _mark(marks, Ge), _mark(marks, Gt), _mark(marks, Le)
+    low, above, high = mark_of(marks, Ge), mark_of(marks, Gt), mark_of(marks, Le)
     if low is not None:
         return f"from {_figure(low.ge)} " + ("up" if high is None else f"to {_figure(high.le)}")
     parts = [] if above is None else [f"above {_figure(above.gt)}"]
@@ -454,9 +483,9 @@ def _figure(limit: Any) -> str:
 
 
 def _metavar(kind: Any, marks: tuple[Any, ...]) -> str:
-    kind, marks = _bare(kind, marks)
+    kind, marks = kind_and_marks(kind, marks)
     origin, inner = typing.get_origin(kind), typing.get_args(kind)
-    if _is_union(kind):
+    if is_union(kind):
         return "|".join(dict.fromkeys(filter(None, (_metavar(member, marks) for member in inner))))
     if origin is Literal:
         return "|".join(inner)
@@ -466,9 +495,9 @@ def _metavar(kind: Any, marks: tuple[Any, ...]) -> str:
             return " ".join([one] * len(inner))
         return f"{one},..." if _is_number(inner[0]) else one
     if kind is type(None):
-        spelled = _mark(marks, Spelled)
+        spelled = mark_of(marks, Spelled)
         return "" if spelled is None else spelled.nothing
-    choice = _mark(marks, OneOf)
+    choice = mark_of(marks, OneOf)
     if choice is not None:
         return "|".join(choice.values)
     words: dict[Any, str] = {int: "N", float: "NUMBER", Path: "PATH", bool: ""}
@@ -483,35 +512,39 @@ def json_schemas(kind: Any, marks: tuple[Any, ...] = ()) -> list[dict[str, Any]]
 
     Limits apply to numbers that are not written as texts.
     """
-    kind, marks = _bare(kind, marks)
+    kind, marks = kind_and_marks(kind, marks)
     origin, inner = typing.get_origin(kind), typing.get_args(kind)
-    choice = _mark(marks, OneOf)
-    if _is_union(kind):
+    choice = mark_of(marks, OneOf)
+    if is_union(kind):
         return [schema for member in inner for schema in json_schemas(member, marks)]
     if origin is tuple:
         return _list_schemas(inner, marks)
     if origin is Literal:
         return [{"enum": sorted({*inner, *(value.removeprefix(".") for value in inner)})}]
     if kind is type(None):
-        spelled = _mark(marks, Spelled)
+        spelled = mark_of(marks, Spelled)
         return [{"type": "null"}, *([] if spelled is None else [{"const": spelled.nothing}])]
     if kind is bool:
         return [{"type": "boolean"}, {"enum": ["true", "false"]}]
     if kind in (int, float):
-        names = {Ge: ("minimum", "ge"), Gt: ("exclusiveMinimum", "gt"), Le: ("maximum", "le")}
-        limits = {
-            name: getattr(_mark(marks, limit), attribute)
-            for limit, (name, attribute) in names.items()
-            if _mark(marks, limit) is not None
-        }
-        number = {"type": "integer" if kind is int else "number", **limits}
-        return [number, {"type": "string", "pattern": f"^\\s*{_pattern(kind)}\\s*$"}]
+        return [number_schema(kind, marks), {"type": "string", "pattern": f"^\\s*{_pattern(kind)}\\s*$"}]
     if kind is Path:
         return [{"type": "string", "pattern": "\\S"}]
     if kind is str:
         texts: list[dict[str, Any]] = [{"type": "string", "pattern": "\\S"}, {"type": "number"}]
         return texts if choice is None else [{"enum": list(choice.values)}]
     return [{"type": "object"}]
+
+
+def number_schema(kind: Any, marks: tuple[Any, ...]) -> dict[str, Any]:
+    """Return the JSON Schema of a number with its limits."""
+    names = {Ge: ("minimum", "ge"), Gt: ("exclusiveMinimum", "gt"), Le: ("maximum", "le")}
+    limits = {
+        name: getattr(mark_of(marks, limit), attribute)
+        for limit, (name, attribute) in names.items()
+        if mark_of(marks, limit) is not None
+    }
+    return {"type": "integer" if kind is int else "number", **limits}
 
 
 def _list_schemas(inner: tuple[Any, ...], marks: tuple[Any, ...]) -> list[dict[str, Any]]:
@@ -534,5 +567,5 @@ def _list_schemas(inner: tuple[Any, ...], marks: tuple[Any, ...]) -> list[dict[s
 
 def _pattern(kind: Any) -> str:
     """Return the pattern of a text for one value of a list."""
-    bare = _bare(kind)[0]
+    bare = kind_and_marks(kind)[0]
     return {int: WHOLE_PATTERN, float: NUMBER_PATTERN}.get(bare, ".+")

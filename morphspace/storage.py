@@ -14,6 +14,7 @@ import math
 import os
 import re
 import struct
+import sys
 import tempfile
 import time
 from collections.abc import Collection, Iterator, Mapping
@@ -31,8 +32,11 @@ KEPT_NAME = 40  # characters of a name that its temporary file keeps, within the
 UNFINISHED = re.compile(r"\.(?P<stem>.{1,40})\.[a-z0-9_]{8}(?P<suffix>\.[a-z0-9]+)")  # names of `whole_file`
 ABANDONED_AFTER_S = 3600  # a file is written in seconds: one unchanged for so long belongs to a killed run
 READ_BLOCK = 1 << 20  # bytes that are read at a time
+DEEPEST_JSON = 64  # lists and objects inside each other; our documents have 6, Python's stack ends near 300
 CHECK = "Check the name and the permissions"
 CONTAINER_START = b'{"__metadata__": {"morphspace": "'  # after the 8 bytes of the header's length
+# Half of a pair of UTF-16, which JSON can name and UTF-8 cannot hold.
+UNPAIRED = re.compile("[\ud800-\udfff]")
 DTYPES = {
     "F64": np.float64,
     "F32": np.float32,
@@ -146,6 +150,52 @@ def json_text(document: Any) -> str:
     return json.dumps(document, indent=2, sort_keys=True, ensure_ascii=False, allow_nan=False) + "\n"
 
 
+def parsed_json(content: bytes | str) -> Any:
+    """Parse JSON in UTF-8, with or without a byte order mark, of which everything can be written again.
+
+    Raises
+    ------
+    ValueError
+        With the reason: no JSON, a repeated key, a number that is not finite in 64 bits, a text with half a character
+        or a NUL, or deep nesting.
+
+    Examples
+    --------
+    >>> parsed_json(b'{"a": [1, 2.5]}')
+    {'a': [1, 2.5]}
+    """
+    text = content if isinstance(content, str) else content.decode("utf-8-sig")
+    try:
+        document = json.loads(text, object_pairs_hook=_unique)
+    except RecursionError as error:
+        raise ValueError(f"more than {DEEPEST_JSON} levels lie inside each other") from error
+    _check_json(document, 0)
+    return document
+
+
+def _unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    document = dict(pairs)
+    if len(document) < len(pairs):
+        keys = [key for key, _ in pairs]
+        raise ValueError(f"the key {next(key for key in keys if keys.count(key) > 1)!r} is there twice")
+    return document
+
+
+def _check_json(value: Any, depth: int) -> None:
+    if isinstance(value, str):
+        if "\0" in value or not (value.isascii() or UNPAIRED.search(value) is None):
+            raise ValueError(f"the text {value[:KEPT_NAME]!a} holds NUL or half a character")
+    elif isinstance(value, int | float):
+        if not abs(value) <= sys.float_info.max:
+            raise ValueError("a number is not finite, or too large for 64 bits")
+    elif value is not None:
+        if depth == DEEPEST_JSON:
+            raise ValueError(f"more than {DEEPEST_JSON} levels lie inside each other")
+        parts = value if isinstance(value, list) else (*value, *value.values())
+        for one in parts:
+            _check_json(one, depth + 1)
+
+
 def digest_of_bytes(*parts: bytes | memoryview) -> str:
     """Return the SHA-256 of the parts in order, in hexadecimal."""
     digest = hashlib.sha256()
@@ -255,13 +305,15 @@ def read_container(path: Path) -> tuple[dict[str, AnyArray], dict[str, Any]]:
                     f"{path} is not a morphspace file: its header needs {length} bytes, it has {size}. Check the name"
                 )
             text = file.read(length)
-        header = json.loads(text)
-        document = dict(json.loads(header.pop("__metadata__")["morphspace"]))
+        header = parsed_json(text)
+        document = parsed_json(header.pop("__metadata__")["morphspace"])
+        if not isinstance(document, dict):
+            raise TypeError("the document is not an object")
         entries = {name: _entry_of(entry) for name, entry in header.items()}
     except OSError as error:
         what = "it is a folder. Enter a file" if path.is_dir() else f"{error.strerror or error}. {CHECK}"
         raise UnreadableFile(f"cannot read {path}: {what}") from error
-    except (ValueError, KeyError, TypeError, AttributeError, OverflowError, RecursionError) as error:
+    except (ValueError, KeyError, TypeError, AttributeError, OverflowError) as error:
         raise UnreadableFile(
             f"{path} is not a morphspace file: its header is not readable. Check the name"
         ) from error

@@ -1,7 +1,7 @@
-"""Generate documents from the declarations of the verbs: the page of all settings, and the schema of a recipe.
+"""Generate documents from the declarations: the page of all settings, and the schemas of recipes and of JSON files.
 
 `python -m morphspace.cli.documents verbs > docs/verbs.md` writes the page; `... recipe-schema` prints the JSON Schema
-of a recipe, with which an editor can check its YAML.
+of a recipe, with which an editor can check its YAML; `... schemas data_spec` writes those of all JSON files.
 """
 
 from __future__ import annotations
@@ -9,12 +9,23 @@ from __future__ import annotations
 import inspect
 import json
 import sys
+from pathlib import Path
 from typing import Any
 
 from morphspace.cli.options import usage_of
+from morphspace.documents import Document
+from morphspace.imitation.table import MEASURES
 from morphspace.io.recipes import OWN_KEYS, RECIPE_FORMAT, RECIPE_VERSION, REQUIRED
+from morphspace.io.sidecars import CLIP, FACEFRAME
+from morphspace.io.stimulus_sidecars import STIMULUS
+from morphspace.io.tables import LOADINGS
+from morphspace.model.file import MODEL
+from morphspace.outcome import RECORD
 from morphspace.requests import NOTHING, Verb, all_verbs, fields_of, recipe_verbs, settings_of
+from morphspace.sets.folders import MARK
+from morphspace.sets.manifest import MANIFEST
 from morphspace.settings import Field, json_schemas
+from morphspace.storage import write_text
 
 HEAD = """# Verbs
 
@@ -25,6 +36,19 @@ texts. Every verb also takes `--workers`, `--quiet`, `--json` and `--debug`.
 
 This page is generated from the declarations: `python -m morphspace.cli.documents verbs > docs/verbs.md`.
 """
+WIDTH = 116  # characters of a line of a schema
+DOCUMENTS: tuple[Document[Any], ...] = (
+    CLIP,
+    FACEFRAME,
+    LOADINGS,
+    RECORD,
+    STIMULUS,
+    MANIFEST,
+    MEASURES,
+    MARK,
+    MODEL,
+)
+"""All kinds of files that hold a JSON document."""
 Schema = dict[str, Any]
 
 
@@ -145,9 +169,29 @@ def setting_schema(field: Field) -> Schema:
     return {"description": field.help, "anyOf": [{"$ref": "#/$defs/filled"}, *nothing, *values]}
 
 
+def schema_text(document: Document[Any]) -> str:
+    """Return the JSON Schema of a kind of file as text, in which what fits on a line stands on one."""
+    return _wrapped(document.schema(), "") + "\n"
+
+
+def _wrapped(value: Any, indent: str) -> str:
+    line, inner = json.dumps(value), indent + "  "
+    if not isinstance(value, dict | list) or len(indent + line) <= WIDTH:
+        return line
+    keys = [f"{json.dumps(key)}: " for key in value] if isinstance(value, dict) else [""] * len(value)
+    values = value.values() if isinstance(value, dict) else value
+    first, last = line[0], line[-1]
+    parts = [f"{inner}{key}{_wrapped(one, inner)}" for key, one in zip(keys, values, strict=True)]
+    return f"{first}\n" + ",\n".join(parts) + f"\n{indent}{last}"
+
+
 def main() -> None:
-    """Print the requested document."""
-    (wanted,) = sys.argv[1:]
+    """Print the requested document, or write the schemas into a folder."""
+    wanted, *folder = sys.argv[1:]
+    if wanted == "schemas":
+        for document in DOCUMENTS:
+            write_text(Path(*folder) / f"{document.name}.schema.json", schema_text(document))
+        return
     print(verbs_page().rstrip() if wanted == "verbs" else json.dumps(recipe_schema(), indent=2))
 
 

@@ -5,10 +5,9 @@ Notes record the changes that made the motions comparable; the page and the comm
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -21,7 +20,7 @@ from morphspace.imitation.imitator import Imitator
 from morphspace.imitation.shape import LEAST_FRAMES, resampled
 from morphspace.io.framing import FramedClip
 from morphspace.io.images import read_mask
-from morphspace.io.tables import read_loadings_table
+from morphspace.io.tables import LoadingsDocument, read_loadings_table
 from morphspace.linear.posterior import Posterior
 from morphspace.model.encode import STRANGE, encoded_frames, energy_outside, framed_for, notes_on_enlarging
 from morphspace.model.keypoints import region_of
@@ -147,9 +146,9 @@ def _table(path: Path, model: MorphModel, stimulus: MorphModel, notes: list[str]
     """Read a table of `model`, which is that of the stimulus or of the imitator."""
     table = read_loadings_table(path)
     columns = table.loadings_sd.shape[1]
-    document = table.document or {}
-    named = document.get("model_id")
-    if table.document is None:
+    document = table.document
+    named = document and document.get("model_id")
+    if document is None:
         notes.append(f"{path} has no sidecar: whether it belongs to {model.identity} cannot be checked")
     elif named != model.model_id:
         raise ReferenceMismatch(_other_table(path, named, model, stimulus))
@@ -160,19 +159,24 @@ def _table(path: Path, model: MorphModel, stimulus: MorphModel, notes: list[str]
     if columns < model.rank:
         rest = "the others count as 0" if model is not stimulus else "the others are not measured"
         notes.append(f"{path} has {columns} of {model.rank} components of {model.identity}: {rest}")
-    rate = document.get("frame_rate_hz")
-    rate_hz = float(rate) if isinstance(rate, int | float) and rate > 0 else None
     loadings = np.zeros((len(table.frame_names), model.rank))
     loadings[:, :columns] = table.loadings_sd
     check_reach(table.loadings_sd, table.frame_names, path)
     inputs = {path.name: digest_of_file(path)}
     places = np.arange(len(loadings))
     return Motion(
-        name_of_table(path, document), table.frame_names, loadings, rate_hz, None, columns, places, inputs
+        name_of_table(path, document),
+        table.frame_names,
+        loadings,
+        table.rate_hz,
+        None,
+        columns,
+        places,
+        inputs,
     )
 
 
-def name_of_table(path: Path, document: Mapping[str, Any]) -> str:
+def name_of_table(path: Path, document: LoadingsDocument | None) -> str:
     """Return the name of the motion in a table: the file's name, or the folder's if a verb named the file.
 
     Without a folder name it is the identity in the sidecar `document`.
@@ -180,8 +184,8 @@ def name_of_table(path: Path, document: Mapping[str, Any]) -> str:
     if path.stem not in NAMED_BY_VERBS:
         return path.stem
     folder = path.absolute().parent.name
-    whose = document.get("source_identity") or document.get("identity")
-    return folder or (whose if isinstance(whose, str) and whose else path.stem)
+    whose = document and (document.get("source_identity") or document.get("identity"))
+    return folder or whose or path.stem
 
 
 def _other_table(path: Path, named: object, model: MorphModel, stimulus: MorphModel) -> str:

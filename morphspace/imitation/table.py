@@ -4,19 +4,22 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any, Literal, TypedDict
 
 import numpy as np
+from annotated_types import Ge, Gt, Le
 
 from morphspace.arrays import AnyArray, LoadingTable
+from morphspace.documents import Columns, Document, FrameRate, OrNull, Versions
+from morphspace.face.regions import REGIONS
 from morphspace.imitation import Comparison
 from morphspace.imitation.information import LEAST_FRAMES_INFORMATION
 from morphspace.imitation.shape import varies
 from morphspace.io.tables import write_metrics_table
 from morphspace.outcome import versions
+from morphspace.settings import Pattern
 from morphspace.storage import json_text, write_text
 
-FORMAT, VERSION = "morphspace-imitation", 1
 NAMED = 5  # components in a sentence
 ALL = "all"  # the row of all components together
 
@@ -78,6 +81,81 @@ COLUMNS: dict[str, tuple[str, str]] = {
     ),
     "undefined": ("", "why cells of the row are empty, where they should not be"),
 }
+
+Share = Annotated[float, Gt(0), Le(1)]
+Frames = Annotated[int, Ge(3)]
+Count = Annotated[int, Ge(0)]
+Names = list[Annotated[str, Pattern("pc[0-9]{3,}", "the name of a component")]]
+_PART = f" *({'|'.join(REGIONS)}) *"
+
+
+class FrameNames(TypedDict):
+    """Names of frames of both motions; null for a table."""
+
+    stimulus: OrNull[list[str]]
+    imitation: OrNull[list[str]]
+
+
+class Outside(TypedDict):
+    """Energy outside the model's space, of both motions."""
+
+    stimulus: OrNull[Annotated[float, Ge(0)]]
+    imitation: OrNull[Annotated[float, Ge(0)]]
+
+
+class Still(TypedDict):
+    """Components of both motions that do not move."""
+
+    stimulus: Names
+    imitation: Names
+
+
+class LeastP(TypedDict):
+    """The smallest possible p of each kind of measure."""
+
+    frame_by_frame: Share
+    information: Share
+    lag: Share
+    alignment: Share
+
+
+class Measures(TypedDict):
+    """The entries of measures.json (data_spec/imitation-table.md)."""
+
+    format: Literal["morphspace-imitation"]
+    version: Literal[1]
+    columns: Columns
+    model_id: str
+    identity: str
+    imitator_model_id: OrNull[str]
+    imitator_identity: OrNull[str]
+    frame_rate_hz: OrNull[FrameRate]
+    stimulus_frames: Frames
+    imitation_frames: Frames
+    paired_frames: Frames
+    components: Annotated[int, Ge(1)]
+    permutations: Count
+    seed: Count
+    mask: OrNull[str]
+    region: Annotated[str, Pattern(f"{_PART}(\\+{_PART})*", "parts of the face joined by +")]
+    imitator: OrNull[str]
+    carried_by: OrNull[Literal["paper", "map", "guided", "transfer"]]
+    shifts: Count
+    shifts_of_information: Count
+    shifts_are_all_there_are: bool
+    copies_of_lag: Count
+    copies_of_alignment: Count
+    least_p: LeastP
+    frames_without_face: FrameNames
+    outside_space: Outside
+    still: Still
+    notes: list[str]
+    versions: Versions
+
+
+MEASURES = Document(
+    "imitation-table", "morphspace imitation, version 1: the JSON beside measures.csv", Measures
+)
 
 # Of each number in the file. Loadings of one clip by another build, flow or machine move measures in the third.
 DECIMALS = {"variance_percent": 3, "distance": 6, "lag_frames": 3, "alignment_steps": 0}
@@ -201,8 +279,8 @@ def write_measures(
     table, beside = folder / "measures.csv", folder / "measures.json"
     write_metrics_table(table, {name: _rounded(name, values[name]) for name in COLUMNS})
     document = {
-        "format": FORMAT,
-        "version": VERSION,
+        "format": "morphspace-imitation",
+        "version": 1,
         "columns": {name: {"unit": unit, "meaning": meaning} for name, (unit, meaning) in COLUMNS.items()},
         **described,
         "versions": versions(),

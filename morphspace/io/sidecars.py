@@ -6,27 +6,64 @@ so that a lab can add its own.
 
 from __future__ import annotations
 
-import json
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any, Literal, NotRequired, TypedDict
 
 import numpy as np
 
 from morphspace.arrays import Points
-from morphspace.errors import BadInput, UnreadableFile
+from morphspace.documents import Document, FrameRate, Open, OrNull, Point, Size, entries_of
+from morphspace.errors import BadInput
+from morphspace.settings import Help
 from morphspace.storage import json_text, write_text
 
-FACEFRAME_FORMAT = "morphspace-faceframe"
-FACEFRAME_VERSION = 1
 WRITE_POINTS = (
     "Select a faceframe file (data_spec/faceframe.md), or write both eyes and the philtrum to a .csv, x,y in each "
     "line"
 )
 POINT_NAMES = ("right_eye", "left_eye", "philtrum")
-TEXT_KEYS = ("identity", "consent", "licence")
+RightEye = Annotated[Point, Help("Centre of the subject's right eye, px.")]
+LeftEye = Annotated[Point, Help("Centre of the subject's left eye, px.")]
+Philtrum = Annotated[Point, Help("Centre of the philtrum, px.")]
+
+
+class FaceframeEntry(TypedDict):
+    """The faceframe in a `clip.json`."""
+
+    frame: Annotated[str, Help("Name of the frame in which the points lie.")]
+    right_eye: RightEye
+    left_eye: LeftEye
+    philtrum: Philtrum
+
+
+class ClipDocument(TypedDict):
+    """The entries of a `clip.json` (data_spec/clip-folder.md)."""
+
+    identity: NotRequired[Annotated[OrNull[str], Help("The person shown.")]]
+    frame_rate_hz: NotRequired[OrNull[FrameRate]]
+    consent: NotRequired[Annotated[OrNull[str], Help("What the person agreed to.")]]
+    licence: NotRequired[Annotated[OrNull[str], Help("Terms of use of the pictures.")]]
+    faceframe: NotRequired[Annotated[OrNull[FaceframeEntry], Open()]]
+
+
+class FaceframeDocument(TypedDict):
+    """The entries of a faceframe file (data_spec/faceframe.md)."""
+
+    format: Literal["morphspace-faceframe"]
+    version: Literal[1]
+    image: Annotated[str, Help("Name of the picture in which the points were marked.")]
+    size: NotRequired[Annotated[OrNull[Size], Help("[width, height] of the picture, px.")]]
+    right_eye: RightEye
+    left_eye: LeftEye
+    philtrum: Philtrum
+
+
+CLIP = Document("clip-folder", "clip.json of a clip folder", ClipDocument, "Correct it", marks=(Open(),))
+FACEFRAME = Document(
+    "faceframe", "morphspace faceframe, version 1", FaceframeDocument, "Correct it", WRITE_POINTS, (Open(),)
+)
 
 
 def eyes_in_order(points: Points, origin: str) -> tuple[Points, tuple[str, ...]]:
@@ -135,105 +172,33 @@ class Sidecar:
 
 
 def read_sidecar(path: str | Path) -> Sidecar:
-    """Read a `clip.json`. Raises `UnreadableFile` if it is not JSON, and `BadInput` if an entry has the wrong type."""
-    path = Path(path)
-    document = dict(read_json_object(path))
-    texts = {key: document.pop(key, None) for key in TEXT_KEYS}
-    for key, text in texts.items():
-        if not (text is None or isinstance(text, str)):
-            raise BadInput(f"{path}: {key} is {text!r}; expected a text. Correct it")
-    rate_hz = document.pop("frame_rate_hz", None)
-    if rate_hz is not None and not (_is_number(rate_hz) and rate_hz > 0):
-        raise BadInput(f"{path}: frame_rate_hz is {rate_hz!r}; expected a number above 0. Correct it")
-    faceframe = document.pop("faceframe", None)
-    return Sidecar(
-        identity=texts["identity"],
-        frame_rate_hz=None if rate_hz is None else float(rate_hz),
-        consent=texts["consent"],
-        licence=texts["licence"],
-        faceframe=None if faceframe is None else _faceframe_of(path, faceframe, "frame"),
-        extra=document,
-    )
+    """Read a `clip.json`. Raises `UnreadableFile` for a wrong entry, and `BadInput` as `MarkedFaceframe` does."""
+    document: dict[str, Any] = dict(CLIP.read(Path(path)))
+    given = {key: document.pop(key, None) for key in entries_of(ClipDocument)}
+    faceframe = given.pop("faceframe")
+    marked = None if faceframe is None else _marked(faceframe, "frame")
+    return Sidecar(**given, faceframe=marked, extra=document)
 
 
 def write_sidecar(path: str | Path, sidecar: Sidecar) -> None:
     """Write a `clip.json`, completely or not at all, without entries that are None. Raises `UnwritableFile`."""
-    document = dict(sidecar.extra)
-    for key in (*TEXT_KEYS, "frame_rate_hz"):
-        if getattr(sidecar, key) is not None:
-            document[key] = getattr(sidecar, key)
+    given = {key: getattr(sidecar, key) for key in entries_of(ClipDocument)}
     if sidecar.faceframe is not None:
-        document["faceframe"] = {"frame": sidecar.faceframe.image, **_point_entries(sidecar.faceframe)}
+        given["faceframe"] = {"frame": sidecar.faceframe.image, **_point_entries(sidecar.faceframe)}
+    document = {**sidecar.extra, **{key: value for key, value in given.items() if value is not None}}
     write_text(Path(path), json_text(document))
 
 
 def read_faceframe(path: str | Path) -> MarkedFaceframe:
-    """Read a faceframe file. Raises `UnreadableFile`, and `BadInput` if its format, version or points are wrong."""
-    path = Path(path)
-    document = read_json_object(path)
-    check_format(path, document, FACEFRAME_FORMAT, FACEFRAME_VERSION, WRITE_POINTS)
-    return _faceframe_of(path, document, "image")
+    """Read a faceframe file. Raises `UnreadableFile` for a wrong entry, and `BadInput` as `MarkedFaceframe` does."""
+    return _marked(FACEFRAME.read(Path(path)), "image")
 
 
-def read_json_object(path: Path) -> dict[str, Any]:
-    """Read a JSON object. Raises `UnreadableFile` if the file is missing or holds something else."""
-    try:
-        document = json.loads(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise UnreadableFile(
-            f"cannot read {path}: {error.strerror}. Check the name and the permissions"
-        ) from error
-    except (ValueError, RecursionError) as error:
-        raise UnreadableFile(f"{path} is not JSON: {error}. Correct it or write it again") from error
-    if not isinstance(document, dict):
-        raise UnreadableFile(
-            f"{path} holds a JSON {type(document).__name__}; expected an object in braces. Write it again"
-        )
-    return document
-
-
-def check_format(
-    path: Path,
-    document: Mapping[str, Any],
-    name: str,
-    version: int,
-    instead: str = "Select a file of that format",
-) -> None:
-    """Raise `BadInput` if the format or version is another; `instead` says what to do about the format."""
-    if document.get("format") != name:
-        raise BadInput(f"{path} has the format {document.get('format')!r}; expected {name!r}. {instead}")
-    found = document.get("version")
-    if found != version:
-        raise BadInput(
-            f"{path} has version {found!r} of {name}; expected {version}. Use a matching morphspace"
-        )
-
-
-def _faceframe_of(path: Path, entry: Any, image_key: str) -> MarkedFaceframe:
-    if not isinstance(entry, Mapping):
-        raise BadInput(
-            f"{path}: the faceframe is {entry!r}; expected an object with {', '.join(POINT_NAMES)}. Correct it"
-        )
-    points = []
-    for name in POINT_NAMES:
-        point = entry.get(name)
-        if not (isinstance(point, list) and len(point) == 2 and all(map(_is_number, point))):
-            raise BadInput(f"{path}: {name} is {point!r}; expected [x, y] in px. Correct it")
-        points.append(point)
-    image = entry.get(image_key)
-    if not isinstance(image, str):
-        raise BadInput(f"{path}: {image_key} is {image!r}; expected the name of the image. Correct it")
+def _marked(entry: Mapping[str, Any], image_key: str) -> MarkedFaceframe:
+    points = np.array([entry[name] for name in POINT_NAMES], np.float64)
     size = entry.get("size")
-    if size is not None and not (
-        isinstance(size, list) and len(size) == 2 and all(type(side) is int and side > 0 for side in size)
-    ):
-        raise BadInput(f"{path}: size is {size!r}; expected [width, height] in px. Correct it")
-    return MarkedFaceframe(image, np.array(points, np.float64), None if size is None else (size[0], size[1]))
+    return MarkedFaceframe(entry[image_key], points, None if size is None else (size[0], size[1]))
 
 
 def _point_entries(faceframe: MarkedFaceframe) -> dict[str, list[float]]:
     return dict(zip(POINT_NAMES, faceframe.points.tolist(), strict=True))
-
-
-def _is_number(value: Any) -> bool:
-    return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)

@@ -9,15 +9,27 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any, Literal, TypedDict
+
+from annotated_types import Ge, Le, Len
 
 from morphspace import __version__
-from morphspace.errors import BadInput, UnreadableFile
+from morphspace.documents import (
+    Digest,
+    Digests,
+    Document,
+    FileName,
+    FrameRate,
+    OrNull,
+    Size,
+    Table,
+    Versions,
+)
+from morphspace.errors import UnreadableFile
 from morphspace.io.png import png_texts
-from morphspace.io.sidecars import check_format, read_json_object
+from morphspace.settings import Pattern
+from morphspace.storage import parsed_json
 
-STIMULUS_FORMAT = "morphspace-stimulus"
-STIMULUS_VERSION = 1
 KEYWORD = "morphspace"  # keyword of the text embedded in a PNG
 COMMENT = "comment"  # metadata entry of a video with the same text
 ORIGINAL_IDENTITY = "original_identity"  # the person in the images into which the face was placed
@@ -36,18 +48,106 @@ UNITS = {
     "largest_sd": "SD, the loading furthest from the mean",
     "rms_sd": "SD, root mean square of the loadings, in the frame furthest from the mean",
 }
-REQUIRED: Mapping[str, type | tuple[type, ...]] = {
-    "verb": str,
-    "request": dict,
-    "model": dict,
-    "inputs": dict,
-    "drawing": dict,
-    "statistics": dict,
-    "quality": dict,
-    "output": dict,
-    "versions": dict,
-    "made_from_sha256": str,
-}
+Percent = Annotated[float, Ge(0), Le(100)]
+NotNegative = Annotated[float, Ge(0)]
+Component = Annotated[int, Ge(1)]
+Registration = Annotated[list[float], Len(6, 6)]
+
+
+class StimulusModel(TypedDict):
+    """The model of a stimulus."""
+
+    file: FileName
+    identity: str
+    model_id: str
+    sha256: Digest
+
+
+class PlacingDocument(TypedDict):
+    """The original frames into which the faces were put back."""
+
+    names: list[str]
+    digests: list[Digest]
+    registrations: list[Registration]
+    sources: list[str]
+
+
+class DrawingDocument(TypedDict):
+    """The numbers from which a stimulus is drawn."""
+
+    name: Annotated[str, Pattern("[^/].*", "a name")]
+    suffix: Literal[".png", ".mp4", ".mkv"]
+    frame_rate_hz: OrNull[FrameRate]
+    loadings_sd: Table
+    colour_sd: OrNull[Table]
+    region: OrNull[str]
+    outside_sd: OrNull[Table]
+    placing: OrNull[PlacingDocument]
+    told: dict[str, OrNull[str | float | bool]]
+
+
+class Figures(TypedDict):
+    """Image statistics; null without meaning."""
+
+    luminance: OrNull[float]
+    rms_contrast: OrNull[float]
+    spectral_slope: OrNull[float]
+    red: OrNull[float]
+    green: OrNull[float]
+    blue: OrNull[float]
+
+
+class Statistics(TypedDict):
+    """Image statistics, in linear light and in code values."""
+
+    linear: Figures
+    code: Figures
+
+
+class Quality(TypedDict):
+    """Clipped values, folds, and the distance from the mean face."""
+
+    clipped_values: Annotated[int, Ge(0)]
+    clipped_percent: Percent
+    folded_percent: Percent
+    largest_sd: NotNegative
+    largest_component: Component
+    rms_sd: NotNegative
+    beyond: list[Component]
+
+
+class Output(TypedDict):
+    """The file of a stimulus."""
+
+    file: FileName
+    sha256: Digest
+    bytes: Annotated[int, Ge(1)]
+    frames: Annotated[int, Ge(1)]
+    frame_rate_hz: OrNull[FrameRate]
+    size: Size
+
+
+class Stimulus(TypedDict):
+    """The entries of a stimulus sidecar (data_spec/stimulus.md)."""
+
+    format: Literal["morphspace-stimulus"]
+    version: Literal[1]
+    verb: Annotated[str, Pattern(r"\S.*", "the name of a verb")]
+    request: dict[str, Any]
+    model: StimulusModel
+    inputs: Digests
+    drawing: DrawingDocument
+    units: dict[str, str]
+    statistics: Statistics
+    quality: Quality
+    consent: OrNull[str]
+    licence: OrNull[str]
+    output: Output
+    made_from_sha256: Digest
+    versions: Versions
+
+
+STIMULUS = Document("stimulus", "morphspace stimulus sidecar, version 1", Stimulus)
 
 
 def essentials(head: Mapping[str, Any], described: Mapping[str, Any]) -> dict[str, Any]:
@@ -94,7 +194,7 @@ def essentials_in(path: Path) -> dict[str, Any] | None:
             from morphspace.io.video import video_texts  # loads libav, which stills do not need
 
             embedded = video_texts(path).get(COMMENT)
-        found = json.loads(embedded) if embedded else None
+        found = parsed_json(embedded) if embedded else None
     except (UnreadableFile, ValueError):
         return None
     return found if isinstance(found, dict) and "request_sha256" in found else None
@@ -130,13 +230,6 @@ def _text(value: Any, indent: str) -> str:
     return json.dumps(value, ensure_ascii=False, allow_nan=False, sort_keys=True)
 
 
-def read_stimulus_sidecar(path: Path) -> dict[str, Any]:
-    """Read the JSON file beside a stimulus. Raises `UnreadableFile`, and `BadInput` for a wrong entry."""
-    document = read_json_object(Path(path))
-    check_format(Path(path), document, STIMULUS_FORMAT, STIMULUS_VERSION)
-    for entry, kind in REQUIRED.items():
-        if not isinstance(document.get(entry), kind):
-            raise BadInput(
-                f"{path}: {entry} is {document.get(entry)!r:.40}; expected another type. Copy the file again"
-            )
-    return document
+def read_stimulus_sidecar(path: Path) -> Stimulus:
+    """Read the JSON file beside a stimulus. Raises `UnreadableFile` if it cannot be read or an entry is wrong."""
+    return STIMULUS.read(Path(path))

@@ -14,22 +14,44 @@ import unicodedata
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any, Literal, NotRequired, TypedDict
 
 import numpy as np
+from annotated_types import Ge
 
 from morphspace.arrays import LoadingTable
+from morphspace.documents import Document, FrameRate, Open, OrNull
 from morphspace.errors import BadInput
-from morphspace.io.sidecars import check_format, read_json_object
 from morphspace.io.texts import COMMA_NUMBER, DATE, Table, number_remedy, read_table
 from morphspace.storage import json_text, write_text
 
-LOADINGS_FORMAT = "morphspace-loadings"
-LOADINGS_VERSION = 1
-LOADINGS_UNIT = "sd"
 FRAME_COLUMN = "frame"
 COMPONENT_COLUMN = re.compile(r"pc([0-9]{3,})_sd")
 TEXT_COLUMNS = ("frame", "clip", "identity", "name")  # never read as numbers: 0001 may name a frame
+
+
+class LoadingsDocument(TypedDict):
+    """The entries of the JSON beside a loadings table (data_spec/loadings-table.md)."""
+
+    format: Literal["morphspace-loadings"]
+    version: Literal[1]
+    unit: Literal["sd"]
+    frame_count: NotRequired[Annotated[int, Ge(0)]]
+    component_count: NotRequired[Annotated[int, Ge(1)]]
+    model_id: NotRequired[OrNull[str]]
+    identity: NotRequired[OrNull[str]]
+    source_model_id: NotRequired[OrNull[str]]
+    source_identity: NotRequired[OrNull[str]]
+    frame_rate_hz: NotRequired[OrNull[FrameRate]]
+
+
+LOADINGS = Document(
+    "loadings-table",
+    "morphspace loadings, version 1: the JSON beside the CSV",
+    LoadingsDocument,
+    "Encode the clip again",
+    marks=(Open(),),
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,7 +68,13 @@ class LoadingsTable:
 
     frame_names: tuple[str, ...]
     loadings_sd: LoadingTable
-    document: Mapping[str, Any] | None
+    document: LoadingsDocument | None
+
+    @property
+    def rate_hz(self) -> float | None:
+        """Return the frames a second, or None if the rows are no motion."""
+        rate_hz = self.document and self.document.get("frame_rate_hz")
+        return float(rate_hz) if rate_hz else None
 
 
 def write_loadings_table(
@@ -88,10 +116,10 @@ def write_loadings_table(
         )
     headings = [FRAME_COLUMN, *map(_heading, range(loadings.shape[1]))]
     rows = [[name, *map(repr, row)] for name, row in zip(names, loadings.tolist(), strict=True)]
-    ours = {
-        "format": LOADINGS_FORMAT,
-        "version": LOADINGS_VERSION,
-        "unit": LOADINGS_UNIT,
+    ours: LoadingsDocument = {
+        "format": "morphspace-loadings",
+        "version": 1,
+        "unit": "sd",
         "frame_count": loadings.shape[0],
         "component_count": loadings.shape[1],
     }
@@ -125,9 +153,12 @@ def read_loadings_table(path: str | Path) -> LoadingsTable:
     loadings = np.array(values, np.float64).reshape(len(names), components)
     loadings.setflags(write=False)
     beside = path.with_suffix(".json")
-    document = read_json_object(beside) if beside.exists() else None
-    if document is not None:
-        _check_document(path, beside, document, loadings.shape)
+    document = LOADINGS.read(beside) if beside.exists() else None
+    if document is not None and document.get("component_count", components) < components:
+        raise BadInput(
+            f"{beside} has component_count {document['component_count']}; expected the {components} of {path}. "
+            "Use files that belong together"
+        )
     return LoadingsTable(tuple(names), loadings, document)
 
 
@@ -236,19 +267,6 @@ def _check_names(path: Path, names: Sequence[str]) -> None:
         if name in seen:
             raise BadInput(f"{path}: frame {name!r} is repeated; expected unique names. Rename it")
         seen.add(name)
-
-
-def _check_document(path: Path, beside: Path, document: Mapping[str, Any], shape: tuple[int, ...]) -> None:
-    check_format(beside, document, LOADINGS_FORMAT, LOADINGS_VERSION)
-    if document.get("unit") != LOADINGS_UNIT:
-        raise BadInput(
-            f"{beside}: the unit is {document.get('unit')!r}; expected {LOADINGS_UNIT!r}. Encode the clip again"
-        )
-    if document.get("component_count", shape[1]) < shape[1]:
-        raise BadInput(
-            f"{beside} has component_count {document['component_count']}; expected the {shape[1]} of {path}. "
-            "Use files that belong together"
-        )
 
 
 def _number(path: Path, line: int, heading: str, cell: str) -> float:

@@ -2,21 +2,155 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any, Literal, NotRequired, TypedDict
 
 import numpy as np
+from annotated_types import Ge, Gt, Le, Len
 
 from morphspace.arrays import AnyArray
+from morphspace.documents import (
+    Digest,
+    Digests,
+    Document,
+    FrameRate,
+    Holds,
+    ModelId,
+    Open,
+    OrNull,
+    Point,
+    Size,
+)
 from morphspace.errors import ModelFileError, UnreadableFile
-from morphspace.face.faceframe import REGISTRATION_KINDS
-from morphspace.face.mesh import LANDMARKS
+from morphspace.face.faceframe import RegistrationKind
+from morphspace.face.mesh import GROUPS, LANDMARKS
 from morphspace.storage import digest_of_array, digest_of_json, read_container
 
-FORMAT = "morphspace-model"
-FORMAT_VERSION = 1
+Weight = Annotated[float, Gt(0)]
+Count = Annotated[int, Ge(0)]
+MEND = "Copy it again or rebuild it"
+
+
+class FaceframePoints(TypedDict):
+    """Three points, px."""
+
+    right_eye: Point
+    left_eye: Point
+    philtrum: Point
+
+
+class FramingEntry(TypedDict):
+    """How the source pictures became the frames of the model, px."""
+
+    source_size: Size
+    crop: OrNull[Annotated[list[int], Len(4, 4)]]
+    size: Size
+    crop_found: NotRequired[dict[str, Any]]
+
+
+class ReferenceEntry(TypedDict):
+    """The reference frame, and why it was chosen."""
+
+    frame: str
+    reason: str
+    sha256: Digest
+
+
+class SearchEntry(TypedDict):
+    """The search of faces in the frames of a build."""
+
+    detector: dict[str, Any]
+    anchored: bool
+    frames: Count
+    frames_with_face: Count
+    reference_has_face: bool
+
+
+class KeypointsEntry(TypedDict):
+    """The origin of the faceframe; `points` are those of the face mesh on the mean face, px."""
+
+    source: str
+    lip: Literal["philtrum", "upper-lip"]
+    points: NotRequired[OrNull[list[Point]]]
+
+
+class BlendEntry(TypedDict):
+    """How an avatar was blended (data_spec/avatar.md)."""
+
+    identities: list[str]
+    model_ids: list[ModelId]
+    weights: list[float]
+    reference: str
+    surround: OrNull[str]
+    faceframe: str
+    method: str
+    max_sd: float
+    correspondence: Literal["expression", "rest"]
+    expressions: OrNull[Count]
+    frames_of: Literal["models", "clips"]
+    sharpen: float
+
+
+class Provenance(TypedDict):
+    """The origin of a model."""
+
+    identity: str
+    consent: OrNull[str]
+    licence: OrNull[str]
+    frame_rate_hz: OrNull[FrameRate]
+    framing: Annotated[FramingEntry, Open()]
+    mask_sha256: NotRequired[OrNull[Digest]]
+    inputs: Digests
+    reference: Annotated[ReferenceEntry, Open()]
+    flow_start: Literal["auto", "none"]
+    mask_from: NotRequired[Literal["given", "found face", "faceframe", "ellipse"]]
+    landmarks: NotRequired[Annotated[OrNull[SearchEntry], Open()]]
+    components_asked: Annotated[int, Ge(1)]
+    warp_weight_trials: list[Point]
+    keypoints: NotRequired[Annotated[OrNull[KeypointsEntry], Open()]]
+    blend: NotRequired[Annotated[BlendEntry, Open()]]
+    pair: NotRequired[dict[str, Any]]
+    versions: dict[str, str]
+
+
+class LandmarksEntry(TypedDict):
+    """The landmark regression, whose arrays are beside the document."""
+
+    scheme: Literal["mediapipe-478"]
+    places: Annotated[list[Annotated[int, Ge(0), Le(477)]], Len(1)]
+    faces: Annotated[int, Ge(8)]
+    ridge: Weight
+    toward: Literal["warp", "mean"]
+    error_px: Annotated[dict[str, Annotated[float, Ge(0)]], Holds(("all", *GROUPS))]
+
+
+class ModelDocument(TypedDict):
+    """The document of a model file (data_spec/model-file.md)."""
+
+    format: Literal["morphspace-model"]
+    version: Literal[1]
+    content_sha256: Digest
+    model_id: ModelId
+    reference_id: ModelId
+    warp_weight: Weight
+    discarded_variance: Annotated[float, Ge(0)]
+    faceframe: OrNull[FaceframePoints]
+    reference_faceframe: OrNull[FaceframePoints]
+    training_frames: Annotated[list[str], Len(2)]
+    registration: RegistrationKind
+    flow: str
+    landmarks: NotRequired[LandmarksEntry]
+    provenance: Annotated[Provenance, Open()]
+
+
+MODEL = Document(
+    "model-file",
+    "The JSON document in the header of a .morph file, version 1",
+    ModelDocument,
+    MEND,
+    "Give a .morph model",
+)
 ARRAY_KINDS: Mapping[str, tuple[int, type[np.floating[Any]]]] = {
     "components": (2, np.float32),
     "variances": (1, np.float64),
@@ -33,10 +167,9 @@ OPTIONAL_ARRAY_KINDS: Mapping[str, tuple[int, type[np.floating[Any]]]] = {
     "landmark_error": (1, np.float64),
 }  # all three with `landmarks` in the document, or none
 NOT_READ_ON_OPENING = "components"  # hundreds of MB; `morphspace info` reads them and checks the digest
-MEND = "Copy it again or rebuild it"
 
 
-def read_model_file(path: Path) -> tuple[dict[str, AnyArray], dict[str, Any]]:
+def read_model_file(path: Path) -> tuple[dict[str, AnyArray], ModelDocument]:
     """Open a model file: arrays as memory maps and the document, checked against each other.
 
     Raises
@@ -45,20 +178,10 @@ def read_model_file(path: Path) -> tuple[dict[str, AnyArray], dict[str, Any]]:
         If the file is no model, of another version, truncated or inconsistent; the message names the part.
     """
     try:
-        arrays, document = read_container(path)
+        arrays, found = read_container(path)
+        document = MODEL.checked(found, path)
     except UnreadableFile as error:
         raise ModelFileError(str(error)) from error
-    if document.get("format") != FORMAT:
-        raise ModelFileError(
-            f"{path} has format {document.get('format')!r}; expected {FORMAT!r}. Give a .morph model"
-        )
-    version = document.get("version")
-    if type(version) is not int or version != FORMAT_VERSION:
-        raise ModelFileError(
-            f"{path} has format version {version!r}; expected {FORMAT_VERSION}. Install the morphspace that wrote "
-            "it"
-        )
-    _check_document(path, document)
     _check_arrays(path, arrays, len(document["training_frames"]))
     _check_landmarks(path, arrays, document.get("landmarks"))
     return arrays, document
@@ -86,27 +209,6 @@ def check_content(path: Path) -> None:
         )
 
 
-def _check_document(path: Path, document: Mapping[str, Any]) -> None:
-    names = document.get("training_frames")
-    wanted = {
-        "content_sha256": isinstance(document.get("content_sha256"), str),
-        "model_id": _is_id(document.get("model_id")),
-        "reference_id": _is_id(document.get("reference_id")),
-        "warp_weight": _is_number(document.get("warp_weight")) and document["warp_weight"] > 0,
-        "discarded_variance": _is_number(document.get("discarded_variance"))
-        and document["discarded_variance"] >= 0,
-        "training_frames": isinstance(names, list) and all(isinstance(name, str) for name in names),
-        "registration": document.get("registration") in REGISTRATION_KINDS,
-        "flow": isinstance(document.get("flow"), str),
-        "faceframe": _is_faceframe(document.get("faceframe", 0)),
-        "reference_faceframe": _is_faceframe(document.get("reference_faceframe", 0)),
-        "provenance": _is_provenance(document.get("provenance")),
-    }
-    for key, is_right in wanted.items():
-        if not is_right:
-            raise ModelFileError(f"{path}: {key} is missing or invalid ({document.get(key)!r:.60}). {MEND}")
-
-
 def _check_kinds(
     path: Path, arrays: Mapping[str, AnyArray], kinds: Mapping[str, tuple[int, type[np.floating[Any]]]]
 ) -> None:
@@ -118,13 +220,12 @@ def _check_kinds(
             )
 
 
-def _check_landmarks(path: Path, arrays: Mapping[str, AnyArray], entry: Any) -> None:
+def _check_landmarks(path: Path, arrays: Mapping[str, AnyArray], entry: LandmarksEntry | None) -> None:
     """Check the landmark regression if the file has one."""
     if entry is None and not set(OPTIONAL_ARRAY_KINDS) & set(arrays):
         return
     _check_kinds(path, arrays, OPTIONAL_ARRAY_KINDS)
-    whole = isinstance(entry, dict) and entry.get("places") == list(LANDMARKS)
-    if not (whole and _is_number(entry.get("ridge")) and type(entry.get("faces")) is int):
+    if entry is None or entry["places"] != list(LANDMARKS):
         raise ModelFileError(
             f"{path}: its landmarks are invalid; expected the {len(LANDMARKS)} of this morphspace. Run `morphspace "
             "keypoints MODEL --auto` again with the morphspace that wrote it, or rebuild it"
@@ -140,40 +241,6 @@ def _check_landmarks(path: Path, arrays: Mapping[str, AnyArray], entry: Any) -> 
             raise ModelFileError(f"{path}: {name} has shape {arrays[name].shape}; expected {shape}. {MEND}")
     if (arrays["landmark_error"] < 0).any():
         raise ModelFileError(f"{path}: a landmark error is negative; expected at least 0. {MEND}")
-
-
-def _is_number(value: Any) -> bool:
-    return isinstance(value, (int, float)) and not isinstance(value, bool) and bool(np.isfinite(value))
-
-
-def _is_id(value: Any) -> bool:
-    return isinstance(value, str) and re.fullmatch("[0-9a-f]{16}", value) is not None
-
-
-def _is_pair(value: Any) -> bool:
-    return isinstance(value, list) and len(value) == 2 and all(map(_is_number, value))
-
-
-def _is_faceframe(value: Any) -> bool:
-    names = {"right_eye", "left_eye", "philtrum"}
-    return value is None or (
-        isinstance(value, dict) and set(value) == names and all(map(_is_pair, value.values()))
-    )
-
-
-def _is_provenance(value: Any) -> bool:
-    if not isinstance(value, dict) or not isinstance(value.get("identity"), str):
-        return False
-    framing, reference = value.get("framing"), value.get("reference")
-    if not isinstance(framing, dict) or not isinstance(reference, dict):
-        return False
-    crop = framing.get("crop")
-    is_crop = crop is None or (isinstance(crop, list) and len(crop) == 4 and all(map(_is_number, crop)))
-    rate = value.get("frame_rate_hz")
-    if not (rate is None or (_is_number(rate) and 0 < rate <= 1000)):
-        return False
-    is_described = isinstance(reference.get("frame"), str) and isinstance(value.get("versions"), dict)
-    return is_crop and is_described and _is_pair(framing.get("source_size")) and _is_pair(framing.get("size"))
 
 
 def _check_arrays(path: Path, arrays: Mapping[str, AnyArray], frames: int) -> None:

@@ -34,7 +34,13 @@ from morphspace.flow import FlowFunction, methods
 from morphspace.grid import warp
 from morphspace.linear.pca import Basis
 from morphspace.model import display
-from morphspace.model.file import FORMAT, FORMAT_VERSION, content_digest, read_model_file
+from morphspace.model.file import (
+    FaceframePoints,
+    LandmarksEntry,
+    ModelDocument,
+    content_digest,
+    read_model_file,
+)
 from morphspace.model.fit import Fitter
 from morphspace.model.landmarks import LandmarkRegression
 from morphspace.model.loadings import Loadings
@@ -452,8 +458,8 @@ class MorphModel:
 
     def _document(self) -> dict[str, Any]:
         return {
-            "format": FORMAT,
-            "version": FORMAT_VERSION,
+            "format": "morphspace-model",
+            "version": 1,
             "model_id": self.model_id,
             "reference_id": self.mean.reference_id,
             "warp_weight": self.warp_weight,
@@ -520,9 +526,8 @@ def load_model(path: Path | str) -> MorphModel:
     return _assembled(*read_model_file(Path(path)))
 
 
-def _assembled(arrays: Mapping[str, AnyArray], document: Mapping[str, Any]) -> MorphModel:
+def _assembled(arrays: Mapping[str, AnyArray], document: ModelDocument) -> MorphModel:
     """Build the model from arrays and document that were checked."""
-    reference_id = str(document["reference_id"])
     warp_weight = float(document["warp_weight"])
     mask = arrays["mask"]
     basis = Basis(
@@ -532,7 +537,7 @@ def _assembled(arrays: Mapping[str, AnyArray], document: Mapping[str, Any]) -> M
         float(document["discarded_variance"]),
     )
     return MorphModel(
-        mean=Morph.of(arrays["mean_texture"], arrays["mean_displacement"], reference_id),
+        mean=Morph.of(arrays["mean_texture"], arrays["mean_displacement"], document["reference_id"]),
         basis=basis,
         warp_weight=warp_weight,
         mask=mask,
@@ -541,29 +546,29 @@ def _assembled(arrays: Mapping[str, AnyArray], document: Mapping[str, Any]) -> M
         faceframe=_faceframe(document["faceframe"]),
         reference_faceframe=_faceframe(document["reference_faceframe"]),
         training=Loadings(
-            arrays["training_loadings"], tuple(document["training_frames"]), str(document["model_id"])
+            arrays["training_loadings"], tuple(document["training_frames"]), document["model_id"]
         ),
         registration=document["registration"],
-        flow=str(document["flow"]),
+        flow=document["flow"],
         provenance=dict(document["provenance"]),
         landmarks=_landmarks(arrays, document.get("landmarks")),
     )
 
 
-def _landmarks(arrays: Mapping[str, AnyArray], entry: Mapping[str, Any] | None) -> LandmarkRegression | None:
+def _landmarks(arrays: Mapping[str, AnyArray], entry: LandmarksEntry | None) -> LandmarkRegression | None:
     if entry is None:
         return None
     return LandmarkRegression(
         np.array(arrays["landmark_mean"]),
         np.array(arrays["landmark_weights"]),
         np.array(arrays["landmark_error"]),
-        faces=int(entry["faces"]),
+        faces=entry["faces"],
         ridge=float(entry["ridge"]),
-        follows_warp=entry.get("toward") == "warp",
+        follows_warp=entry["toward"] == "warp",
     )
 
 
-def _faceframe(entry: Mapping[str, Any] | None) -> FaceFrame | None:
+def _faceframe(entry: FaceframePoints | None) -> FaceFrame | None:
     if entry is None:
         return None
-    return FaceFrame.at(np.array([entry[name] for name in ("right_eye", "left_eye", "philtrum")]))
+    return FaceFrame.at(np.array([entry["right_eye"], entry["left_eye"], entry["philtrum"]]))

@@ -90,12 +90,7 @@ def complete_set(
     columns: dict[str, Column] = {}
     for planned in sets:
         columns |= planned.told_columns()
-    document = {
-        "name": f"Stimuli of morphspace {verb}",
-        "description": f"{len(rows)} stimuli; one row a stimulus, its sidecar beside it says how it was made",
-        "verb": verb,
-    }
-    written = [*write_manifest(folder, rows, columns, document)]
+    written = [*write_manifest(folder, rows, columns, verb)]
     written += _write_loadings(folder, sets)
     for planned in sets:
         for name, table in planned.tables.items():

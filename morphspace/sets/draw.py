@@ -206,11 +206,11 @@ def _kept(path: Path, sidecar: Path, drawing: Drawing, made_from: str) -> dict[s
         return None
     try:
         document = read_stimulus_sidecar(sidecar)
-        recorded, sha256 = document["made_from_sha256"], document["output"].get("sha256")
+        recorded, sha256 = document["made_from_sha256"], document["output"]["sha256"]
         if made_from != recorded or made_from_of(document) != made_from or sha256 != digest_of_file(path):
             return None
         return _row(drawing, document, digest_of_file(sidecar))
-    except (UnreadableFile, BadInput, KeyError, IndexError, TypeError, AttributeError, ValueError):
+    except UnreadableFile:
         return None  # incomplete or damaged
 
 
@@ -253,17 +253,5 @@ def _row(drawing: Drawing, document: Mapping[str, Any], sidecar_sha256: str) -> 
     row["largest_sd"], row["largest_component"] = quality["largest_sd"], quality["largest_component"]
     row["rms_sd"] = quality["rms_sd"]
     row["beyond"] = " ".join(f"pc{component:03d}" for component in quality["beyond"])
-    row |= {key: _words(document.get(key)) for key in ("consent", "licence")}
+    row |= {key: document[key] or "" for key in ("consent", "licence")}
     return {**row, "sha256": output["sha256"], "sidecar_sha256": sidecar_sha256}
-
-
-def _words(value: Any) -> str:
-    if value is None:
-        return ""
-    return (
-        value
-        if isinstance(value, str)
-        else "; ".join(map(str, value))
-        if isinstance(value, list)
-        else str(value)
-    )

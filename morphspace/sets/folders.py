@@ -5,18 +5,31 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal, TypedDict
 
+from morphspace.documents import Digest, Document
 from morphspace.errors import MorphspaceError, UnreadableFile
-from morphspace.io.sidecars import read_json_object
-from morphspace.outcome import RECORD_NAME, Outcome
+from morphspace.outcome import RECORD, RECORD_NAME, Outcome
 from morphspace.requests import verb_named
 from morphspace.steps import Step, Steps, result_of
 from morphspace.storage import digest_of_file, json_text, write_text
 
 MARK_NAME = "batch.json"  # describes the job that filled the folder; written last
-MARK_FORMAT = "morphspace-batch-folder"
-MARK_VERSION = 1
+
+
+class Mark(TypedDict):
+    """The entries of the mark of a folder (data_spec/recipe.md)."""
+
+    format: Literal["morphspace-batch-folder"]
+    version: Literal[1]
+    verb: str
+    request: dict[str, Any]
+    made_from_sha256: Digest
+    record_sha256: Digest
+    notes: list[str]
+
+
+MARK = Document("batch-folder", "morphspace batch folder, version 1: the mark of a finished job", Mark)
 
 
 class Stopped(MorphspaceError):
@@ -57,8 +70,8 @@ def fill_folder(job: FolderJob, folder: Path, is_stopped: Callable[[], bool]) ->
     if mark is None:
         outcome = _run(verb_named(job.verb).run(job.request), job, is_stopped)
         mark = {
-            "format": MARK_FORMAT,
-            "version": MARK_VERSION,
+            "format": "morphspace-batch-folder",
+            "version": 1,
             "verb": job.verb,
             "request": dict(job.told),
             "made_from_sha256": job.made_from,
@@ -66,14 +79,14 @@ def fill_folder(job: FolderJob, folder: Path, is_stopped: Callable[[], bool]) ->
             "notes": list(outcome.warnings),
         }
         write_text(place / MARK_NAME, json_text(mark))
-    record = read_json_object(place / RECORD_NAME)
+    record = RECORD.read(place / RECORD_NAME)
     return {
         "name": job.name,
         "verb": job.verb,
         **job.levels,
         "files": len(record["outputs"]),
         "record_sha256": mark["record_sha256"],
-        "notes": "; ".join(mark.get("notes", [])),
+        "notes": "; ".join(mark["notes"]),
     }
 
 
@@ -87,17 +100,16 @@ def _run(steps: Steps[Outcome], job: FolderJob, is_stopped: Callable[[], bool]) 
     return result_of(steps, on_step)
 
 
-def _mark_of(place: Path, job: FolderJob) -> dict[str, Any] | None:
+def _mark_of(place: Path, job: FolderJob) -> Mark | None:
     """Read the mark of a folder that this job filled and whose files are all present; None otherwise."""
     try:
-        mark = read_json_object(place / MARK_NAME)
-        record = read_json_object(place / RECORD_NAME)
+        mark = MARK.read(place / MARK_NAME)
+        record = RECORD.read(place / RECORD_NAME)
         whole = (
-            mark.get("format") == MARK_FORMAT
-            and mark.get("made_from_sha256") == job.made_from
-            and mark.get("record_sha256") == digest_of_file(place / RECORD_NAME)
+            mark["made_from_sha256"] == job.made_from
+            and mark["record_sha256"] == digest_of_file(place / RECORD_NAME)
             and all(digest_of_file(place / name) == digest for name, digest in record["outputs"].items())
         )
-    except (UnreadableFile, KeyError, AttributeError):
+    except UnreadableFile:
         return None
     return mark if whole else None

@@ -9,16 +9,36 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any, Literal, NotRequired, TypedDict
 
+from annotated_types import Ge, Len
+
+from morphspace.documents import Document
 from morphspace.errors import BadInput
 from morphspace.io.tables import write_metrics_table
 from morphspace.stimuli.image_statistics import FIGURES, SPACES
 from morphspace.storage import json_text, write_text
 
-MANIFEST_FORMAT = "morphspace-manifest"
-MANIFEST_VERSION = 1
 MANIFEST_NAME = "manifest.csv"
+Property = TypedDict(
+    "Property",
+    {"@type": Literal["PropertyValue"], "name": str, "description": str, "unitText": NotRequired[str]},
+)
+Manifest = TypedDict(
+    "Manifest",
+    {
+        "@context": Literal["https://schema.org/"],
+        "@type": Literal["Dataset"],
+        "format": Literal["morphspace-manifest"],
+        "version": Literal[1],
+        "name": str,
+        "description": str,
+        "verb": str,
+        "stimulus_count": Annotated[int, Ge(1)],
+        "variableMeasured": Annotated[list[Property], Len(1)],
+    },
+)
+MANIFEST = Document("manifest", "morphspace manifest, version 1: the JSON beside the CSV", Manifest)
 
 
 @dataclass(frozen=True)
@@ -100,7 +120,7 @@ def write_manifest(
     folder: Path,
     rows: Sequence[Mapping[str, Any]],
     columns: Mapping[str, Column],
-    document: Mapping[str, Any],
+    verb: str,
 ) -> tuple[Path, Path]:
     """Write the manifest of a set and the description of its columns.
 
@@ -110,8 +130,8 @@ def write_manifest(
         One mapping per stimulus. Columns without any entry are omitted.
     columns
         Columns beyond the usual ones, in their order.
-    document
-        Further entries of manifest.json.
+    verb
+        The verb that made the set.
 
     Raises
     ------
@@ -128,21 +148,23 @@ def write_manifest(
     names = [name for name in known if name in held]
     table = folder / MANIFEST_NAME
     write_metrics_table(table, {name: [row.get(name) for row in rows] for name in names})
-    described = {
+    described: Manifest = {
         "@context": "https://schema.org/",
         "@type": "Dataset",
-        "format": MANIFEST_FORMAT,
-        "version": MANIFEST_VERSION,
+        "format": "morphspace-manifest",
+        "version": 1,
+        "name": f"Stimuli of morphspace {verb}",
+        "description": f"{len(rows)} stimuli; one row a stimulus, its sidecar beside it says how it was made",
+        "verb": verb,
         "stimulus_count": len(rows),
         "variableMeasured": [_property(name, known[name]) for name in names],
-        **document,
     }
     write_text(table.with_suffix(".json"), json_text(described))
     return table, table.with_suffix(".json")
 
 
-def _property(name: str, column: Column) -> dict[str, str]:
-    entry = {"@type": "PropertyValue", "name": name, "description": column.description}
+def _property(name: str, column: Column) -> Property:
+    entry: Property = {"@type": "PropertyValue", "name": name, "description": column.description}
     return entry if column.unit is None else {**entry, "unitText": column.unit}
 
 

@@ -98,7 +98,7 @@ def _motion(path: Path, model: MorphModel, rate_hz: float | None) -> tuple[Motio
     """Read a motion, check that it belongs to the model, and return it with notes."""
     table = read_loadings_table(path)
     notes = check_table(model, table, path)
-    known_hz = rate_hz or (table.document or {}).get("frame_rate_hz") or model.provenance.get("frame_rate_hz")
+    known_hz = rate_hz or table.rate_hz or model.provenance.get("frame_rate_hz")
     if not known_hz:
         notes += (f"{path} has no frame rate: {FRAME_RATE_HZ:g} Hz is assumed; give --frame-rate",)
     return Motion(path.stem, table.loadings_sd, float(known_hz or FRAME_RATE_HZ)), notes

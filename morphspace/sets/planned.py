@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from morphspace.errors import BadInput
-from morphspace.io.stimulus_sidecars import STIMULUS_FORMAT, STIMULUS_VERSION, UNITS
+from morphspace.io.stimulus_sidecars import STIMULUS, UNITS
 from morphspace.model.model import MorphModel, load_model
 from morphspace.outcome import versions
 from morphspace.requests import request_document
@@ -88,8 +88,8 @@ class PlannedSet:
         """Return the entries that all sidecars of the set share, as JSON, for `make_stimulus`."""
         provenance = self.model.provenance
         head: dict[str, Any] = {
-            "format": STIMULUS_FORMAT,
-            "version": STIMULUS_VERSION,
+            "format": STIMULUS.format,
+            "version": 1,
             "verb": self.verb,
             "request": dict(self.request),
             "model": {

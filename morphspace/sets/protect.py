@@ -18,12 +18,12 @@ from pathlib import Path
 from typing import Any
 
 from morphspace import storage
+from morphspace.documents import read_json_object
 from morphspace.errors import BadInput, MorphspaceError, UnreadableFile, UnwritableFile
 from morphspace.io.clips import FRAMES_FOLDER, SIDECAR_NAME, VIDEO_SUFFIXES
-from morphspace.io.sidecars import read_json_object
-from morphspace.io.stimulus_sidecars import STIMULUS_FORMAT, essentials_in
-from morphspace.io.tables import LOADINGS_FORMAT
-from morphspace.outcome import RECORD_FORMAT, RECORD_NAME, relative_name
+from morphspace.io.stimulus_sidecars import STIMULUS, essentials_in
+from morphspace.io.tables import LOADINGS
+from morphspace.outcome import RECORD, RECORD_NAME, relative_name
 from morphspace.stimuli.drawing import Drawing
 from morphspace.storage import is_container_or_nothing, make_folder
 
@@ -207,7 +207,7 @@ def _is_recognised(path: Path, output: Output, begun: Collection[str]) -> bool:
         return True
     record = _object(output.record)
     listed = record.get("outputs")
-    if record.get("format") == RECORD_FORMAT and isinstance(listed, Mapping):
+    if record.get("format") == RECORD.format and isinstance(listed, Mapping):
         is_set = MANIFEST_NAME in listed and output.folder / MANIFEST_NAME in output.files
         if record.get("verb") == output.verb or is_set:
             if path == output.record or name in listed:
@@ -221,9 +221,9 @@ def _is_own_format(path: Path) -> bool:
     """Return whether the content of a file shows that morphspace wrote it."""
     suffix = path.suffix.lower()
     if suffix == TABLE_SUFFIX:
-        return _object(path.with_suffix(".json")).get("format") == LOADINGS_FORMAT
+        return _object(path.with_suffix(".json")).get("format") == LOADINGS.format
     if suffix == ".json":
-        return _object(path).get("format") in (LOADINGS_FORMAT, RECORD_FORMAT)
+        return _object(path).get("format") in (LOADINGS.format, RECORD.format)
     if suffix == ".html":
         return PAGE_FOOTER in _end(path)
     if path.name.endswith(".keypoints.png"):  # the picture beside a model with new keypoints
@@ -237,7 +237,7 @@ def _is_stimulus(picture: Path) -> bool:
 
 def _is_sidecar(path: Path) -> bool:
     """Return whether a file is a stimulus' sidecar, complete or cut short."""
-    return _object(path).get("format") == STIMULUS_FORMAT or _start(path).startswith(SIDECAR_START.encode())
+    return _object(path).get("format") == STIMULUS.format or _start(path).startswith(SIDECAR_START.encode())
 
 
 def _start(path: Path) -> bytes:

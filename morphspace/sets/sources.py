@@ -138,9 +138,7 @@ def _of_table(model: MorphModel, path: Path) -> Faces:
     notes = check_table(model, table, path)
     if not table.frame_names:
         raise BadInput(f"{path} has 0 rows; expected at least one. Give a table with loadings")
-    rate = (
-        (table.document or {}).get("frame_rate_hz") or model.provenance.get("frame_rate_hz") or FRAME_RATE_HZ
-    )
+    rate = table.rate_hz or model.provenance.get("frame_rate_hz") or FRAME_RATE_HZ
     return Faces(
         path.stem,
         table.frame_names,

@@ -16,6 +16,7 @@ import numpy as np
 
 from morphspace.arrays import AnyArray, LoadingTable, Mask
 from morphspace.errors import BadInput
+from morphspace.io.stimulus_sidecars import DrawingDocument, PlacingDocument
 from morphspace.requests import VIDEO_SUFFIXES
 
 FURTHEST_SD = 1000.0  # SD; larger values are errors, and colours overflow
@@ -202,32 +203,29 @@ class Drawing:
         }
 
 
-def drawing_of(document: Mapping[str, Any], region_mask: Mask | None = None) -> Drawing:
-    """Restore a drawing from its document. Raises `BadInput` if an entry is missing or has the wrong type."""
-    try:
-        placing = document["placing"]
-        return Drawing(
-            name=str(document["name"]),
-            loadings_sd=np.array(document["loadings_sd"], np.float64),
-            colour_sd=_table_or_none(document["colour_sd"]),
-            region=None if document["region"] is None else str(document["region"]),
-            outside_sd=_table_or_none(document["outside_sd"]),
-            frame_rate_hz=None if document["frame_rate_hz"] is None else float(document["frame_rate_hz"]),
-            suffix=str(document["suffix"]),
-            placing=None if placing is None else _placing_of(placing),
-            told=dict(document["told"]),
-            region_mask=region_mask,
-        )
-    except (KeyError, TypeError, ValueError) as error:
-        raise BadInput(f"the sidecar holds no drawing: {error}. Copy it again") from error
+def drawing_of(document: DrawingDocument, region_mask: Mask | None = None) -> Drawing:
+    """Restore a drawing from its document. Raises `BadInput` as the constructor does."""
+    placing, rate_hz = document["placing"], document["frame_rate_hz"]
+    return Drawing(
+        name=document["name"],
+        loadings_sd=np.array(document["loadings_sd"], np.float64),
+        colour_sd=_table_or_none(document["colour_sd"]),
+        region=document["region"],
+        outside_sd=_table_or_none(document["outside_sd"]),
+        frame_rate_hz=None if rate_hz is None else float(rate_hz),
+        suffix=document["suffix"],
+        placing=None if placing is None else _placing_of(placing),
+        told=dict(document["told"]),
+        region_mask=region_mask,
+    )
 
 
-def _placing_of(document: Mapping[str, Any]) -> Placing:
+def _placing_of(document: PlacingDocument) -> Placing:
     return Placing(
-        tuple(map(str, document["names"])),
-        tuple(map(str, document["digests"])),
+        tuple(document["names"]),
+        tuple(document["digests"]),
         np.array(document["registrations"], np.float64).reshape(-1, 2, 3),
-        tuple(map(str, document["sources"])),
+        tuple(document["sources"]),
     )
 
 

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 from morphspace.requests import Model, declared
 from morphspace.settings import Help, Option
@@ -44,14 +43,14 @@ def _faceframe_words(model: MorphModel) -> str:
 
 def _registration_words(model: MorphModel) -> str:
     """Describe the alignment of the frames; blended pictures are drawn aligned."""
-    if _blend_of(model) is None:
+    if "blend" not in model.provenance:
         return f"registration {model.registration}"
     return "blended onto one faceframe"
 
 
 def _blend_lines(model: MorphModel) -> tuple[str, ...]:
     """Describe a blend: the identities, their weights, and the method."""
-    blend = _blend_of(model)
+    blend = model.provenance.get("blend")
     if blend is None:
         return ()
     shares = zip(blend["identities"], blend["weights"], strict=True)
@@ -60,15 +59,10 @@ def _blend_lines(model: MorphModel) -> tuple[str, ...]:
         "sources    " + ", ".join(f"{name} {weight:.2g}" for name, weight in shares),
         f"surround   hair, ears, neck and background of {surround}",
         f"method     {blend['method']}, bounded to {blend['max_sd']:g} SD; warped to {blend['reference']}"
-        f"{', mouths matched in each expression' if blend.get('correspondence') == 'expression' else ''}, aligned onto "
+        f"{', mouths matched in each expression' if blend['correspondence'] == 'expression' else ''}, aligned onto "
         f"the faceframe {_FACEFRAMES.get(blend['faceframe'], 'of ' + blend['faceframe'])}; sharpened by "
         f"{blend['sharpen']:.2f}",
     )
-
-
-def _blend_of(model: MorphModel) -> Mapping[str, Any] | None:
-    blend = model.provenance.get("blend")
-    return blend if isinstance(blend, Mapping) else None
 
 
 def run(request: InfoRequest) -> Steps[Outcome]:

@@ -116,7 +116,7 @@ def test_a_broken_sidecar_is_named(folder):
     with pytest.raises(UnreadableFile, match=r"clip\.json is not JSON"):
         open_clip([folder])
     (folder / "clip.json").write_text('{"frame_rate_hz": true}')
-    with pytest.raises(BadInput, match=r"clip\.json: frame_rate_hz is True"):
+    with pytest.raises(BadInput, match=r"clip\.json: frame_rate_hz is true; expected a number above 0"):
         open_clip([folder])
 
 

@@ -385,9 +385,9 @@ def rewritten(saved, change):
 
 def test_a_future_version_and_another_format_are_refused(saved):
     rewritten(saved, lambda arrays, document: document.update(version=2))
-    assert_refused(saved, "format version 2; expected 1")
+    assert_refused(saved, r"some\.morph: version is 2; expected 1\. Install")
     rewritten(saved, lambda arrays, document: document.update(version=1, format="morphspace-avatar"))
-    assert_refused(saved, "'morphspace-avatar'.*'morphspace-model'")
+    assert_refused(saved, "format is 'morphspace-avatar'; expected morphspace-model")
 
 
 NAMES = [
@@ -445,7 +445,7 @@ def test_a_variance_of_zero_is_none_the_worse(saved):
 )
 def test_a_model_of_nobody_is_refused(saved, provenance):
     rewritten(saved, lambda arrays, document: document.update(provenance=provenance))
-    assert_refused(saved, "provenance is missing or invalid")
+    assert_refused(saved, r"some\.morph: provenance\S* is .*; expected")
 
 
 DAMAGES = [

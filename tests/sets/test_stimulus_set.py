@@ -616,7 +616,6 @@ def edits():
     yield ("output", "bytes"), 3, "output.bytes is 3 in the sidecar, drawn again it is "
     yield ("output", "size"), [3, 4], "output.size is [3, 4] in the sidecar, drawn again it is [60, 72]"
     yield ("units", "red"), "pounds", "the digest of the entries is "
-    yield ("mine",), 1, "mine is not an entry of a sidecar"
 
 
 @pytest.mark.parametrize(("entry", "value", "said"), list(edits()))
