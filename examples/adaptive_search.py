@@ -23,8 +23,8 @@ from pathlib import Path
 
 import numpy as np
 
+from morphspace.documents import read_json_object
 from morphspace.errors import BadInput, MorphspaceError
-from morphspace.io.sidecars import read_json_object
 from morphspace.io.tables import write_loadings_table
 from morphspace.model.model import MorphModel, load_model
 from morphspace.steps import result_of

@@ -1,7 +1,9 @@
 """JSON documents: what a declaration describes is taken, all else is refused in one line, and the schema agrees."""
 
 import json
+import re
 import typing
+from functools import cache
 from pathlib import Path
 from typing import Annotated, Any, Literal, NotRequired, TypedDict
 
@@ -153,7 +155,7 @@ def test_the_schema_in_data_spec_is_made_from_the_declaration(document):
 # Any document of a declaration, and the same with a part replaced.
 
 TEXTS = st.text(st.characters(codec="utf-8", exclude_categories=("Cc", "Cs")), max_size=6)
-LETTERS = st.characters(codec="ascii", exclude_categories=("Cc",))
+ANY_LETTER = re.compile(r"\[\^/\]|\\S|(?<!\\)\.")  # in patterns; Hypothesis is slow with all of Unicode
 NUMBERS = st.floats(-1e9, 1e9).filter(lambda number: not number.is_integer()) | st.integers(-9, 10**6)
 JSON = st.recursive(
     st.none() | st.booleans() | NUMBERS | TEXTS,
@@ -195,7 +197,11 @@ def values_of(kind: Any, marks: tuple[Any, ...] = ()) -> st.SearchStrategy[Any]:
         return st.floats(least, most, exclude_min=above is not None).filter(lambda one: not one.is_integer())
     if kind is str:
         pattern = mark_of(marks, Pattern)
-        return TEXTS if pattern is None else st.from_regex(pattern.regex, fullmatch=True, alphabet=LETTERS)
+        return (
+            TEXTS
+            if pattern is None
+            else st.from_regex(ANY_LETTER.sub("[a-z]", pattern.regex), fullmatch=True)
+        )
     return {Any: JSON, bool: st.booleans(), type(None): st.none()}[kind]
 
 
@@ -221,24 +227,29 @@ def damaged(draw: st.DrawFn, document: Document[Any]) -> Any:
     return replaced(right, draw(st.sampled_from(places_in(right))), draw(JSON))
 
 
+@cache
+def validator_of(document: Document[Any]) -> jsonschema.Draft202012Validator:
+    return jsonschema.Draft202012Validator(document.schema())
+
+
 KINDS = pytest.mark.parametrize("document", [EXAMPLE, *DOCUMENTS], ids=lambda document: document.name)
 
 
 @KINDS
-@settings(max_examples=10, deadline=None, derandomize=True)
+@settings(max_examples=6, deadline=None, derandomize=True)
 @given(data=st.data())
 def test_every_document_that_a_declaration_describes_is_taken(document, data):
     right = data.draw(values_of(document.shape))
     assert document.checked(right, Path("a.json")) is right
-    jsonschema.Draft202012Validator(document.schema()).validate(right)
+    validator_of(document).validate(right)
 
 
 @KINDS
-@settings(max_examples=30, deadline=None, derandomize=True)
+@settings(max_examples=20, deadline=None, derandomize=True)
 @given(data=st.data())
 def test_schema_and_check_take_and_refuse_the_same_documents(document, data):
     changed = data.draw(damaged(document))
-    is_valid = jsonschema.Draft202012Validator(document.schema()).is_valid(changed)
+    is_valid = validator_of(document).is_valid(changed)
     try:
         document.checked(changed, Path("a.json"))
     except UnreadableFile as error:
