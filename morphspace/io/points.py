@@ -8,13 +8,16 @@ of the image: pixel centres are integers, and y points down except in some `.tps
 `read_landmarks` returns all points. `read_marked_points` returns the eyes and the lip, from these files or from a
 faceframe file (.json). The number of points identifies the template; TEMPLATES lists which of its points surround the
 eyes and the lip.
+
+Programs mark a missing landmark by -1,-1, by 0,0, or by NaN or NA. All readers refuse it with its number, counted from
+1: an eye centre must not be the mean of lids and a corner of the picture.
 """
 
 from __future__ import annotations
 
 import math
 import re
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import islice
 from pathlib import Path
@@ -22,9 +25,11 @@ from typing import Literal, TypeAlias
 
 import numpy as np
 
-from morphspace.arrays import Points
+from morphspace.arrays import AnyArray, Points
 from morphspace.errors import BadInput, UnreadableFile
-from morphspace.io.sidecars import eyes_in_order, read_faceframe
+from morphspace.io.limits import POINTS_BYTES
+from morphspace.io.sidecars import MISSING_MARKS, eyes_in_order, read_faceframe
+from morphspace.io.texts import check_not_separator_line, read_text
 
 Lip: TypeAlias = Literal["philtrum", "upper-lip"]
 """The third point: the centre of the philtrum (Nagle), or the lower edge of the upper lip (WebMorph)."""
@@ -40,8 +45,11 @@ SUFFIXES = (".tem", ".csv", ".txt")
 HEADING = re.compile(r"\W*x(_px)?\W+y(_px)?\W*", re.IGNORECASE)
 COUNT = re.compile(r"\d{1,9}", re.ASCII)
 APART = re.compile(r"\s*[,;]\s*|\s+")
-NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)(e[+-]?\d+)?|[+-]?(nan|inf(inity)?)", re.IGNORECASE | re.ASCII)
+NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)(e[+-]?\d+)?", re.IGNORECASE | re.ASCII)
+MISSING_WORD = re.compile(r"[+-]?(nan|inf(inity)?)|n/?a|none|null", re.IGNORECASE | re.ASCII)
 NO_TEXT = re.compile(r"[\x00-\x08\x0e-\x19\x1b-\x1f\x7f-\x9f]")  # without 1a, which ends a DOS text
+EMPTY_CELLS = " \t,;"
+MARK_AGAIN = "Mark this landmark again, or give both eyes and the philtrum in a .csv, x,y in each line"
 BLANKS = " \t\v\f\x1a"
 LINE_END = re.compile(r"\r\n|\r|\n")
 QUOTED = 40  # characters of a line in a message
@@ -100,7 +108,8 @@ def read_landmarks(path: str | Path) -> Points:
     Raises
     ------
     BadInput
-        If the suffix is another, or a line is not as expected; the message quotes the line and its number.
+        If the suffix is another, a landmark is missing, or a line is not as expected; the message quotes the line
+        and its number.
     UnreadableFile
         If the file is missing, empty or not a text.
     """
@@ -112,10 +121,10 @@ def read_landmarks(path: str | Path) -> Points:
     lines = _numbered_lines(path)
     if not lines:
         raise UnreadableFile(f"{path} is empty; expected landmarks, x and y in each line. Export it again")
-    rows = _rows_of_tem(path, lines) if path.suffix.lower() == ".tem" else _rows_of_table(lines)
+    rows = _rows_of_tem(path, lines) if path.suffix.lower() == ".tem" else _rows_of_table(path, lines)
     if not rows:
         raise BadInput(f"{path} holds no landmark; expected x and y in each line. Export it again")
-    return np.array([_point_of(path, number, text) for number, text in rows], np.float64)
+    return _points_of(path, rows)
 
 
 def read_landmark_pair(reference: str | Path, frame: str | Path) -> tuple[Points, Points]:
@@ -130,14 +139,14 @@ def read_landmark_pair(reference: str | Path, frame: str | Path) -> tuple[Points
 
 
 def read_marked_points(
-    path: str | Path, height: int, *, lip: Lip | None = None, y_axis: YAxis = "auto"
+    path: str | Path, size: tuple[int, int], *, lip: Lip | None = None, y_axis: YAxis = "auto"
 ) -> MarkedPoints:
-    """Read the eyes and the lip from a landmark file of an image `height` px high.
+    """Read the eyes and the lip from a landmark file of an image of `size`.
 
     Parameters
     ----------
     path : str or Path
-    height : int, px
+    size : (width, height) px
     lip : "philtrum", "upper-lip" or None
         Which third point to take from a template that has both, or the meaning of the third of three points. None is
         the philtrum, but in a `.tem` of three points, by WebMorph's convention, the lower edge of the upper lip.
@@ -151,7 +160,8 @@ def read_marked_points(
     Raises
     ------
     BadInput
-        If the template is unknown, or a `.tps` does not hold exactly one specimen.
+        If the template is unknown, a `.tps` does not hold exactly one specimen, a landmark is missing, or one of
+        those around an eye or the lip lies outside the image.
     UnreadableFile
         If the file is missing, empty or not a text.
     """
@@ -170,7 +180,10 @@ def read_marked_points(
             f"{path} is not a points file by its name; expected .tem, .tps, .csv, .txt or .json. Rename it"
         )
     three, kind, scheme, on_points = _three_of(path, points, lip)
-    down, on_y = _y_down(path, three, height, y_axis)
+    turn, on_y = _turn_of_y(path, three, size[1], y_axis)
+    down = turn(three)
+    if len(points) in TEMPLATES and not _outside(down, size).any():
+        _check_members(path, turn(points), TEMPLATES[len(points)], kind, size)
     ordered, on_eyes = eyes_in_order(down, str(path))
     return MarkedPoints(ordered, kind, scheme, (*notes, *on_points, *on_y, *on_eyes))
 
@@ -204,17 +217,38 @@ def _three_of(path: Path, points: Points, lip: Lip | None) -> tuple[Points, Lip,
     return points[:3], lip or "philtrum", "the first three points", (note,)
 
 
-def _y_down(path: Path, points: Points, height: int, y_axis: YAxis) -> tuple[Points, tuple[str, ...]]:
-    """Flip y if it points up: about 0 if all are negative, else within the image. Return the points and notes."""
+def _turn_of_y(
+    path: Path, points: Points, height: int, y_axis: YAxis
+) -> tuple[Callable[[Points], Points], tuple[str, ...]]:
+    """Return a function that makes y of points count down, and notes.
+
+    It flips y that points up: about 0 if y is negative in all points, else within the image.
+    """
     is_negative = bool((points[:, 1] < 0).all())
     is_upside_down = points[2, 1] < points[:2, 1].mean() and not is_negative
     if y_axis == "auto" and (path.suffix.lower() != ".tps" or not (is_negative or is_upside_down)):
-        return points, ()
-    x, y = points.T
+        return lambda given: given, ()
     if is_negative:
-        return np.column_stack([x, -y]), (f"{path}: y is negative and was flipped about 0",)
+        return lambda given: given * (1, -1), (f"{path}: y is negative and was flipped about 0",)
     note = f"{path}: y points up and was flipped within the image height of {height} px"
-    return np.column_stack([x, height - 1 - y]), (note,)
+    return lambda given: np.column_stack([given[:, 0], height - 1 - given[:, 1]]), (note,)
+
+
+def _outside(points: Points, size: tuple[int, int]) -> AnyArray:
+    beyond: AnyArray = (points < -0.5) | (points > np.array(size) - 0.5)
+    return np.asarray(beyond.any(axis=1))
+
+
+def _check_members(path: Path, points: Points, template: Template, lip: Lip, size: tuple[int, int]) -> None:
+    """Check that each landmark that is averaged to an eye or the lip lies inside the image."""
+    chosen = template.philtrum if lip == "philtrum" else template.upper_lip
+    for place in (*template.eyes[0], *template.eyes[1], *chosen):
+        if _outside(points[[place]], size)[0]:
+            x, y = points[place].tolist()
+            raise BadInput(
+                f"{path}: landmark {place + 1} of {len(points)} is {x:g},{y:g}; expected a place inside the image of "
+                f"{size[0]} x {size[1]} px. {MARK_AGAIN}"
+            )
 
 
 def read_tps(path: str | Path) -> tuple[tuple[str, Points], ...]:
@@ -277,7 +311,7 @@ def _points_after(path: Path, number: int, what: str, rows: Lines, count: int) -
         raise BadInput(
             f"{path}, line {number} declares {count} {what}; expected as many, found fewer. Export it again"
         )
-    return np.array([_point_of(path, line, row) for line, row in rows], np.float64).reshape(count, 2)
+    return _points_of(path, rows)
 
 
 def _one_specimen(path: Path, specimens: Sequence[tuple[str, Points]]) -> Points:
@@ -294,16 +328,7 @@ def _numbered_lines(path: Path) -> Lines:
 
     Older programs write the name of an image in Latin-1: a file that is not UTF-8 is read as Latin-1.
     """
-    try:
-        content = path.read_bytes()
-    except OSError as error:
-        raise UnreadableFile(
-            f"cannot read {path}: {error.strerror}. Check the name and the permissions"
-        ) from error
-    try:
-        text = content.decode("utf-8-sig")
-    except UnicodeDecodeError:
-        text = content.decode("latin-1")
+    text = read_text(path, POINTS_BYTES, otherwise="latin-1")
     if NO_TEXT.search(text):
         raise UnreadableFile(f"{path} is not a text in UTF-8 or Latin-1. Export the landmarks as plain text")
     lines = ((number, line.strip(BLANKS)) for number, line in enumerate(LINE_END.split(text), start=1))
@@ -332,24 +357,35 @@ def _rows_of_tem(path: Path, lines: Lines) -> Lines:
     return rows
 
 
-def _rows_of_table(lines: Lines) -> Lines:
-    return lines[1:] if HEADING.fullmatch(lines[0][1]) else lines
+def _rows_of_table(path: Path, lines: Lines) -> Lines:
+    """Return the lines of the points of a table, without its heading and without empty rows and columns."""
+    check_not_separator_line(path, lines[0][1])
+    filled = [(number, bare) for number, line in lines if (bare := line.strip(EMPTY_CELLS))]
+    return filled[1:] if filled and HEADING.fullmatch(filled[0][1]) else filled
 
 
-def _point_of(path: Path, number: int, text: str) -> tuple[float, float]:
-    """Read x and y from line `number`. Raise `BadInput`, which quotes it, if it is not two finite numbers."""
+def _points_of(path: Path, rows: Lines) -> Points:
+    """Read one landmark (m, 2) px from each line. Raise `BadInput`, which gives its number, if one is missing."""
+    points = [_point_of(path, line, text, place) for place, (line, text) in enumerate(rows, start=1)]
+    return np.array(points, np.float64).reshape(len(points), 2)
+
+
+def _point_of(path: Path, number: int, text: str, place: int) -> tuple[float, float]:
+    """Read x and y from line `number`. Raise `BadInput`, which quotes it, if it is not a place."""
     words = APART.split(text)
-    if not all(map(NUMBER.fullmatch, words)):
+    if not all(NUMBER.fullmatch(word) or MISSING_WORD.fullmatch(word) for word in words):
         raise BadInput(f"{path}, line {number} is {_quoted(text)}; expected the numbers x and y. Correct it")
-    values = tuple(map(float, words))
-    if len(values) != 2:
+    if len(words) != 2:
         remedy = "Write decimals with a point: commas separate numbers" if "," in text else "Correct it"
-        raise BadInput(f"{path}, line {number} has {len(values)} numbers; expected 2, x and y. {remedy}")
-    if not all(map(math.isfinite, values)):
+        raise BadInput(f"{path}, line {number} has {len(words)} numbers; expected 2, x and y. {remedy}")
+    is_missing = any(map(MISSING_WORD.fullmatch, words))
+    values = (0.0, 0.0) if is_missing else (float(words[0]), float(words[1]))
+    if values in MISSING_MARKS or not all(map(math.isfinite, values)):
         raise BadInput(
-            f"{path}, line {number} is {_quoted(text)}; expected finite numbers. Mark this landmark again"
+            f"{path}, line {number}: landmark {place} is {_quoted(text)}, which marks it as missing; expected a "
+            f"place in the image. {MARK_AGAIN}"
         )
-    return values[0], values[1]
+    return values
 
 
 def _quoted(text: str) -> str:

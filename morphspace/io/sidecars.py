@@ -24,6 +24,7 @@ WRITE_POINTS = (
     "line"
 )
 POINT_NAMES = ("right_eye", "left_eye", "philtrum")
+MISSING_MARKS = ((-1.0, -1.0), (0.0, 0.0))  # px; programs write these for a landmark that was not marked
 RightEye = Annotated[Point, Help("Centre of the subject's right eye, px.")]
 LeftEye = Annotated[Point, Help("Centre of the subject's left eye, px.")]
 Philtrum = Annotated[Point, Help("Centre of the philtrum, px.")]
@@ -88,7 +89,7 @@ def eyes_in_order(points: Points, origin: str) -> tuple[Points, tuple[str, ...]]
     Raises
     ------
     BadInput
-        If the points are not three finite pairs, or the eyes have the same x.
+        If the points are not three finite pairs, one is marked as missing, or the eyes have the same x.
 
     Examples
     --------
@@ -102,6 +103,12 @@ def eyes_in_order(points: Points, origin: str) -> tuple[Points, tuple[str, ...]]
         raise BadInput(
             f"{origin}: the points are not finite or not three; expected three pairs x,y. Mark them again"
         )
+    for name, (x, y) in zip(POINT_NAMES, points.tolist(), strict=True):
+        if (x, y) in MISSING_MARKS:
+            raise BadInput(
+                f"{origin}: the {name} is {x:g},{y:g}, which marks it as missing; expected a place in the image. "
+                "Mark it again"
+            )
     if (points[0] == points[1]).all():
         raise BadInput(
             f"{origin}: both eyes are at {points[0, 0]:g},{points[0, 1]:g}; expected two places. Mark them again"

@@ -96,7 +96,7 @@ def read_table(path: Path, limit: Limit = TABLE_BYTES) -> Table:
         If the columns are separated by something else, rows differ in length, or a heading is missing or repeated.
     """
     text = read_text(path, limit)
-    check_separators(path, text)
+    _check_separators(path, text)
     reader = csv.reader(io.StringIO(text, newline=""), strict=True)
     found: list[tuple[int, list[str]]] = []
     start = 1
@@ -122,18 +122,23 @@ def read_table(path: Path, limit: Limit = TABLE_BYTES) -> Table:
     )
 
 
-def check_separators(path: Path, text: str) -> None:
-    """Raise `BadInput` if the first line is a spreadsheet's `sep=`, or has semicolons or tabs between the columns."""
+def _check_separators(path: Path, text: str) -> None:
+    """Raise `BadInput` if the first line is `sep=,`, or has semicolons or tabs between the columns."""
     first = next((line for line in text.splitlines() if line.strip()), "")
-    if SEPARATOR_LINE.fullmatch(first.strip().strip('"')):
-        raise BadInput(
-            f"{path} line 1 is {first.strip()!r}, which only some spreadsheets understand; expected column names. "
-            "Delete this line"
-        )
+    check_not_separator_line(path, first)
     unquoted = re.sub(r'"[^"]*"', "", first)
     for mark, name in ((";", "semicolons"), ("\t", "tabs")):
         if unquoted.count(mark) > unquoted.count(","):
             raise BadInput(f"{path} line 1 has {name} between the columns; expected commas. {EXPORT}")
+
+
+def check_not_separator_line(path: Path, first: str) -> None:
+    """Raise `BadInput` if the first line of a table is a spreadsheet's `sep=,`."""
+    if SEPARATOR_LINE.fullmatch(first.strip().strip('"')):
+        raise BadInput(
+            f"{path} line 1 is {first.strip()!r}, which only some spreadsheets understand; expected the table. "
+            "Delete this line"
+        )
 
 
 def _row_of(path: Path, line: int, cells: Sequence[str], headings: Sequence[str]) -> list[str]:

@@ -128,9 +128,9 @@ def read_keypoints(
     BadInput
         If the file has no such points, or they lie outside the picture or span no upright face.
     """
-    height = framing_of(model).source_size[1] if on == "reference" else model.size[1]
-    marked = read_marked_points(path, height, lip=lip, y_axis=y_axis)
-    turned = _turned_words(path, height, lip, y_axis, marked.points)
+    size = framing_of(model).source_size if on == "reference" else model.size
+    marked = read_marked_points(path, size, lip=lip, y_axis=y_axis)
+    turned = _turned_words(path, size, lip, y_axis, marked.points)
     faceframe, notes = _on_mean(model, marked.points, on, str(path), turned)
     origin = {
         "source": "file",
@@ -143,14 +143,19 @@ def read_keypoints(
     return FoundKeypoints(faceframe, origin, (f"read as {marked.scheme}",), marked.notes + notes)
 
 
-def _turned_words(path: Path, height: int, lip: Lip | None, y_axis: YAxis, points: Points) -> str | None:
+def _turned_words(
+    path: Path, size: tuple[int, int], lip: Lip | None, y_axis: YAxis, points: Points
+) -> str | None:
     """Return the option that would count y the other way, or None if the face would still not be upright."""
     is_turned = y_axis == "up"
     other: YAxis = "auto" if is_turned else "up"
-    x = read_marked_points(path, height, lip=lip, y_axis=other).points
+    try:
+        x = read_marked_points(path, size, lip=lip, y_axis=other).points
+    except BadInput:  # some landmarks would lie outside
+        return None
     if np.array_equal(x, points):
         return None
-    if (x[:, 1] < -0.5).any() or (x[:, 1] > height - 0.5).any() or x[2, 1] <= x[:2, 1].max():
+    if (x[:, 1] < -0.5).any() or (x[:, 1] > size[1] - 0.5).any() or x[2, 1] <= x[:2, 1].max():
         return None
     return "leave out --negate-y" if is_turned else "give --negate-y"
 

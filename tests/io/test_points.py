@@ -11,6 +11,7 @@ from morphspace.io.points import TEMPLATES, read_marked_points, read_tps
 from morphspace.io.sidecars import MarkedFaceframe, read_sidecar
 
 HEIGHT = 240
+SIZE = (200, HEIGHT)
 EXCHANGED = "the eyes were exchanged: the subject's right eye is on the left of the image"
 POINTS = np.array([[78.25, 101.5], [124.0, 100.0], [100.5, 140.75]])
 
@@ -64,7 +65,7 @@ FACE = np.array([[78.0, 101], [124, 100], [100, 140], [101, 150]])  # eyes, phil
     ],
 )
 def test_every_program_gives_the_same_points(file, name, text):
-    assert_allclose(read_marked_points(file(name, text), HEIGHT).points, POINTS, atol=1e-9)
+    assert_allclose(read_marked_points(file(name, text), SIZE).points, POINTS, atol=1e-9)
 
 
 @pytest.mark.parametrize(
@@ -79,7 +80,7 @@ def test_every_program_gives_the_same_points(file, name, text):
 )
 def test_a_file_of_another_system_is_read(tmp_path, content):
     (tmp_path / "a.tps").write_bytes(content)
-    assert_allclose(read_marked_points(tmp_path / "a.tps", HEIGHT).points, POINTS, atol=1e-9)
+    assert_allclose(read_marked_points(tmp_path / "a.tps", SIZE).points, POINTS, atol=1e-9)
     name = read_tps(tmp_path / "a.tps")[0][0]
     assert name == ("M\xfcller.jpg" if b"ller" in content else "a.jpg")
 
@@ -88,7 +89,7 @@ def test_our_own_faceframe_is_read_too(tmp_path):
     named = dict(zip(("right_eye", "left_eye", "philtrum"), POINTS.tolist(), strict=True))
     document = {"format": "morphspace-faceframe", "version": 1, "image": "a.png", **named}
     (tmp_path / "a.json").write_text(json.dumps(document))
-    marked = read_marked_points(tmp_path / "a.json", HEIGHT)
+    marked = read_marked_points(tmp_path / "a.json", SIZE)
     assert_array_equal(marked.points, POINTS)
     assert marked.lip == "philtrum"
 
@@ -98,16 +99,16 @@ def test_our_own_faceframe_is_read_too(tmp_path):
 )
 def test_a_turned_y_is_said(file, name, said):
     points = POINTS * (1, -1) if name == "negative.tps" else up_from_bottom(POINTS)
-    marked = read_marked_points(file(name, tps(points)), HEIGHT)
+    marked = read_marked_points(file(name, tps(points)), SIZE)
     assert said in marked.notes[0] and name in marked.notes[0]
-    assert read_marked_points(file("down.tps", tps(POINTS)), HEIGHT).notes == ()
+    assert read_marked_points(file("down.tps", tps(POINTS)), SIZE).notes == ()
 
 
 @pytest.mark.parametrize("points", [POINTS * (1, -1), up_from_bottom(POINTS)])
 def test_other_files_are_turned_only_when_asked(file, points):
     path = file("a.csv", rows(points, ","))
-    assert_array_equal(read_marked_points(path, HEIGHT).points, points)
-    assert_allclose(read_marked_points(path, HEIGHT, y_axis="up").points, POINTS, atol=1e-9)
+    assert_array_equal(read_marked_points(path, SIZE).points, points)
+    assert_allclose(read_marked_points(path, SIZE, y_axis="up").points, POINTS, atol=1e-9)
 
 
 @pytest.mark.parametrize("count", sorted(TEMPLATES))
@@ -117,23 +118,23 @@ def test_a_template_gives_its_eyes_and_the_lip_that_was_asked_for(file, count, s
     head = {".tem": f"{count}\n", ".csv": "", ".tps": f"LM={count}\n"}[suffix]
     path = file(f"a{suffix}", head + rows(points, " "))
     for lip, place in ((None, 2), ("philtrum", 2), ("upper-lip", 3)):
-        marked = read_marked_points(path, HEIGHT, lip=lip)
+        marked = read_marked_points(path, SIZE, lip=lip)
         assert_allclose(marked.points, FACE[[0, 1, place]], atol=1e-9)
         assert marked.lip == (lip or "philtrum") and str(count) in marked.scheme
 
 
 def test_three_points_of_a_tem_are_webmorphs_unless_said_otherwise(file):
     path = file("a.tem", "3\n" + rows(POINTS))
-    marked = read_marked_points(path, HEIGHT)
+    marked = read_marked_points(path, SIZE)
     assert marked.lip == "upper-lip" and "--lip philtrum" in marked.notes[0]
-    marked = read_marked_points(path, HEIGHT, lip="philtrum")
+    marked = read_marked_points(path, SIZE, lip="philtrum")
     assert marked.lip == "philtrum" and marked.notes == ()
-    assert read_marked_points(file("a.csv", rows(POINTS, ",")), HEIGHT).lip == "philtrum"
+    assert read_marked_points(file("a.csv", rows(POINTS, ",")), SIZE).lip == "philtrum"
 
 
 def test_of_more_points_in_a_list_the_first_three_are_taken_and_that_is_said(file):
     path = file("a.csv", rows(POINTS, ",") + "1,2\n3,4\n")
-    marked = read_marked_points(path, HEIGHT)
+    marked = read_marked_points(path, SIZE)
     assert_array_equal(marked.points, POINTS)
     assert "5 points" in marked.notes[0]
 
@@ -144,7 +145,7 @@ def test_specimens_are_told_apart_by_their_picture(file):
     assert [name for name, _ in specimens] == ["a.jpg", "b", "3"]
     assert_array_equal(specimens[1][1], POINTS * 2)
     with pytest.raises(BadInput, match="3 specimens"):
-        read_marked_points(path, HEIGHT)
+        read_marked_points(path, SIZE)
 
 
 @pytest.mark.parametrize(
@@ -185,20 +186,20 @@ def test_specimens_are_told_apart_by_their_picture(file):
         ("solid.tps", "LM3=3\n1 2 3\n1 2 3\n1 2 3\n", "LM3=3"),
         ("headless.tps", "1 2\n3 4\n", "line 1 is '1 2'; expected LM= and a number"),
         ("word.tps", "LM=3\n1 2\n3 four\n5 6\n", "line 3 is '3 four'"),
-        ("nan.tps", "LM=3\n1 2\n3 nan\n5 6\n", "line 3 is .* finite"),
+        ("nan.tps", "LM=3\n1 2\n3 nan\n5 6\n", "line 3: landmark 2 is '3 nan', which marks it as missing"),
         ("a.png", "", "not a points file by its name"),
     ],
 )
 def test_what_cannot_be_used_is_named(file, name, text, mentioned):
     with pytest.raises(BadInput, match=mentioned) as error:
-        read_marked_points(file(name, text), HEIGHT)
+        read_marked_points(file(name, text), SIZE)
     assert name in str(error.value) and "\n" not in str(error.value)
 
 
 def test_an_empty_and_a_missing_tps_are_unreadable(file, tmp_path):
     for path in (file("empty.tps", "\n"), tmp_path / "nowhere.tps"):
         with pytest.raises(UnreadableFile, match=path.name):
-            read_marked_points(path, HEIGHT)
+            read_marked_points(path, SIZE)
 
 
 # The subject's right eye is on the picture's left, whatever a file says.
@@ -209,7 +210,7 @@ def test_every_landmark_file_with_exchanged_eyes_is_put_in_order_and_says_so(fil
     exchanged = POINTS[[1, 0, 2]]
     head = "3\n" if name == "a.tem" else ""
     path = file(name, tps(exchanged) if name == "a.tps" else head + rows(exchanged, " "))
-    marked = read_marked_points(path, HEIGHT, lip="philtrum")
+    marked = read_marked_points(path, SIZE, lip="philtrum")
     assert_array_equal(marked.points, POINTS)
     assert marked.notes == (f"{path}: {EXCHANGED}",)
 
@@ -217,7 +218,7 @@ def test_every_landmark_file_with_exchanged_eyes_is_put_in_order_and_says_so(fil
 @pytest.mark.parametrize("count", sorted(TEMPLATES))
 def test_a_template_with_exchanged_eyes_is_put_in_order_too(file, count):
     points = templated(count) * (-1, 1) + (200, 0)
-    marked = read_marked_points(file("a.tem", f"{count}\n" + rows(points, " ")), HEIGHT)
+    marked = read_marked_points(file("a.tem", f"{count}\n" + rows(points, " ")), SIZE)
     assert_allclose(marked.points, (FACE * (-1, 1) + (200, 0))[[1, 0, 2]], atol=1e-9)
     assert EXCHANGED in marked.notes[0]
 
@@ -231,7 +232,7 @@ def test_a_faceframe_file_and_a_clips_sidecar_with_exchanged_eyes_are_put_in_ord
     own = file(
         "a.json", json.dumps({"format": "morphspace-faceframe", "version": 1, "image": "f.png", **entry})
     )
-    read = read_marked_points(own, HEIGHT)
+    read = read_marked_points(own, SIZE)
     assert_array_equal(read.points, POINTS)
     assert read.notes == marked.notes
     sidecar = read_sidecar(file("clip.json", json.dumps({"faceframe": {"frame": "f.png", **entry}})))
@@ -243,6 +244,60 @@ def test_a_face_that_lies_on_its_side_is_refused_by_every_reader(file):
     points = [[20, 30], [20, 60], [40, 45]]
     for path in (file("a.csv", rows(points, ",")), file("a.tps", tps(points))):
         with pytest.raises(BadInput, match="both eyes are at x 20, one above the other"):
-            read_marked_points(path, HEIGHT)
+            read_marked_points(path, SIZE)
     with pytest.raises(BadInput, match="both eyes are at x 20, one above the other"):
         MarkedFaceframe("f.png", np.array(points, float))
+
+
+def in_every_form(points):
+    """The same landmarks as each program writes them, by the suffix of the file."""
+    lines = [f"{x} {y}" if x == y == "NA" else f"{float(x):.5f} {float(y):.5f}" for x, y in points]
+    return {
+        ".tem": "\n".join([str(len(lines)), *lines, "0"]),
+        ".tps": "\n".join([f"LM={len(lines)}", *lines, "ID=0"]),
+        ".csv": "\n".join(["x,y", *(line.replace(" ", ",") for line in lines)]),
+        ".txt": "\n".join(lines),
+    }
+
+
+@pytest.mark.parametrize("suffix", [".tem", ".tps", ".csv", ".txt"])
+@pytest.mark.parametrize(
+    "mark", [(-1, -1), (0, 0), (np.nan, np.nan), ("NA", "NA"), (np.inf, 3), (50, np.nan)]
+)
+@pytest.mark.parametrize("place", [1, 41, 68])
+def test_a_missing_landmark_is_refused_by_its_number_in_every_form(file, suffix, mark, place):
+    points = [tuple(point) for point in templated(68)]
+    read_marked_points(file(f"whole{suffix}", in_every_form(points)[suffix]), SIZE)
+    points[place - 1] = mark
+    path = file(f"a{suffix}", in_every_form(points)[suffix])
+    with pytest.raises(
+        BadInput, match=rf"line \d+: landmark {place} is .*missing; expected a place in the image"
+    ):
+        read_marked_points(path, SIZE)
+
+
+@pytest.mark.parametrize("mark", [(-1, -1), (0, 0)])
+def test_a_missing_point_of_a_faceframe_is_refused_by_its_name(tmp_path, mark):
+    path = tmp_path / "a.json"
+    document = {"format": "morphspace-faceframe", "version": 1, "image": "a.png", "right_eye": [78, 101]}
+    path.write_text(json.dumps({**document, "left_eye": mark, "philtrum": [100, 140]}))
+    with pytest.raises(BadInput, match=r"the left_eye is .* marks it as missing"):
+        read_marked_points(path, SIZE)
+
+
+@pytest.mark.parametrize("suffix", [".tem", ".tps", ".csv"])
+@pytest.mark.parametrize("place", [(-3.0, 101.0), (78.0, -2.0), (250.0, 101.0), (78.0, 260.0)])
+def test_a_landmark_of_an_eye_outside_the_picture_is_refused_by_its_number(file, suffix, place):
+    points = templated(68)
+    points[40] = place
+    with pytest.raises(
+        BadInput, match=r"landmark 41 of 68 is .*; expected a place inside the image of 200 x 240"
+    ):
+        read_marked_points(file(f"a{suffix}", in_every_form(map(tuple, points))[suffix]), SIZE)
+
+
+def test_a_landmark_outside_that_no_eye_and_no_lip_needs_does_not_matter(file):
+    points = templated(68)
+    points[8] = (100, 260)  # the chin of a cropped face
+    found = read_marked_points(file("a.csv", in_every_form(map(tuple, points))[".csv"]), SIZE)
+    assert_allclose(found.points, FACE[:3])
