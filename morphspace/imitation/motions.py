@@ -127,6 +127,7 @@ def opened(
         source = _table(Path(given), read_in, model, notes)
     else:
         clip = framed_for(read_in, (given,), None)
+        notes += clip.clip.notes
         notes += notes_on_enlarging(clip.framing, read_in.identity, f"frames of the {role}")
         inputs = dict(zip(clip.names, clip.file_digests, strict=True))
         rate_hz = clip.clip.sidecar.frame_rate_hz

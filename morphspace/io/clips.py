@@ -10,18 +10,56 @@ import glob
 import os
 import re
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 from morphspace.arrays import Image
 from morphspace.errors import BadInput, SizeMismatch, UnreadableFile
-from morphspace.io.images import image_size, read_image
+from morphspace.io.images import animation_frames, image_size, read_image
+from morphspace.io.names import check_frame_name, check_link, check_name, composed
 from morphspace.io.sidecars import Sidecar, read_sidecar
 from morphspace.storage import digest_of_bytes, digest_of_file
 
-IMAGE_SUFFIXES = (".png", ".tif", ".tiff", ".jpg", ".jpeg", ".exr", ".bmp", ".webp")
-VIDEO_SUFFIXES = (".mp4", ".mov", ".mkv", ".avi", ".webm", ".m4v", ".mpg", ".mpeg")
+IMAGE_SUFFIXES = (".png", ".tif", ".tiff", ".jpg", ".jpeg", ".exr", ".bmp", ".webp", ".avif", ".jxl")
+PHONE_SUFFIXES = (
+    ".heic",
+    ".heif",
+)  # frames if libav reads them: it does not join the tiles of a phone's picture
+VIDEO_SUFFIXES = (".mp4", ".mov", ".mkv", ".avi", ".webm", ".m4v", ".mpg", ".mpeg", ".apng")
+OTHER_PICTURES = (  # formats of pictures that are counted in a note, never passed over in silence
+    *(
+        ".heic",
+        ".heif",
+        ".hif",
+        ".gif",
+        ".jfif",
+        ".jpe",
+        ".jp2",
+        ".j2k",
+        ".psd",
+        ".psb",
+        ".svg",
+        ".ppm",
+        ".pgm",
+    ),
+    *(
+        ".pbm",
+        ".pnm",
+        ".tga",
+        ".hdr",
+        ".dds",
+        ".ico",
+        ".dib",
+        ".pct",
+        ".sgi",
+        ".fits",
+        ".dng",
+        ".cr2",
+        ".cr3",
+    ),
+    *(".nef", ".arw", ".orf", ".raf", ".rw2", ".pef", ".srw", ".raw"),
+)
 FRAMES_FOLDER = "frames"  # NAME/frames/*.jpg are the images of the clip NAME
 SIDECAR_NAME = "clip.json"
 LISTED_SIZES = 5  # sizes; a message lists no more
@@ -42,6 +80,8 @@ class Clip:
         The file of each frame; for a video the same file n times.
     video_indices : tuple of n int, or None
         The number of each frame in the video. None for images.
+    notes : tuple of str
+        Pictures that were passed over, and others of which only a part is used.
     """
 
     name: str
@@ -50,6 +90,7 @@ class Clip:
     sidecar: Sidecar
     paths: tuple[Path, ...]
     video_indices: tuple[int, ...] | None = None
+    notes: tuple[str, ...] = ()
 
     def __len__(self) -> int:
         return len(self.frame_names)
@@ -133,8 +174,8 @@ def open_clip(sources: Sequence[str | Path]) -> Clip:
     ----------
     sources : sequence of str or Path
         A folder gives its images, or those of its folder `frames`; hidden files and other file types are ignored.
-        Files
-        from several folders are prefixed with the folder's name if their names clash.
+        Pictures of types that are not read are counted in `notes`. Files from several folders are prefixed with the
+        folder's name if their names clash.
 
     Returns
     -------
@@ -145,7 +186,8 @@ def open_clip(sources: Sequence[str | Path]) -> Clip:
     Raises
     ------
     BadInput
-        If there are no images, no file matches, a file is repeated, or videos are mixed with other files.
+        If there are no images, no file matches, a file is repeated, videos are mixed with other files, or a file
+        name cannot be used.
     SizeMismatch
         If the frames differ in size; the message lists the sizes.
     UnreadableFile
@@ -156,7 +198,11 @@ def open_clip(sources: Sequence[str | Path]) -> Clip:
         raise BadInput(
             "no clip is given; expected a folder, a video, image files or a pattern. Add one, such as 'face/*.png'"
         )
-    found = [path for source in given for path in _expand(source)]
+    found, over = [], []
+    for source in given:
+        files, others = _expand(source)
+        found += files
+        over += others
     if len(found) == 1 and found[0].is_dir():
         return _clip_of_folder(found[0])
     folders = [path for path in found if path.is_dir()]
@@ -173,20 +219,22 @@ def open_clip(sources: Sequence[str | Path]) -> Clip:
                 "images. Select one"
             )
         return _clip_of_video(found[0])
-    return _clip_of_files(found, None)
+    return _clip_of_files(found, None, over)
 
 
-def _expand(source: str) -> list[Path]:
-    """Return the path if it exists, or the files that the pattern matches."""
+def _expand(source: str) -> tuple[list[Path], list[Path]]:
+    """Return the path if it exists, or the files that the pattern matches; and matching pictures that are not read."""
     path = Path(source)
+    check_name(path)
+    check_link(path)
     try:
         if path.exists():
-            if path.is_file() and path.suffix.lower() not in IMAGE_SUFFIXES + VIDEO_SUFFIXES:
-                kinds = ", ".join(IMAGE_SUFFIXES + VIDEO_SUFFIXES)
+            kinds = (*IMAGE_SUFFIXES, *VIDEO_SUFFIXES)
+            if path.is_file() and path.suffix.lower() not in kinds:
                 raise BadInput(
-                    f"{path} is neither an image nor a video by its suffix; expected {kinds}. Convert it"
+                    f"{path} is neither an image nor a video by its suffix; expected {', '.join(kinds)}. Convert it"
                 )
-            return [path]
+            return [path], []
     except OSError as error:
         raise UnreadableFile(f"cannot read {path}: {error.strerror}") from error
     if not glob.has_magic(str(path)):
@@ -196,46 +244,56 @@ def _expand(source: str) -> list[Path]:
     # pathlib's glob does not accept absolute patterns
     matches = [Path(match) for match in glob.glob(str(path), recursive=True)]  # noqa: PTH207
     if len(matches) == 1 and matches[0].is_dir():
-        return matches
+        return matches, []
     files = [match for match in matches if _is_kind(match, IMAGE_SUFFIXES)] or [
         match for match in matches if _is_kind(match, VIDEO_SUFFIXES)
     ]
+    over = [match for match in matches if _is_kind(match, OTHER_PICTURES)]
     if not files:
         raise BadInput(
-            f"no image or video matches {source} ({len(matches)} other matches). Check the pattern"
+            f"no image or video matches {source} ({len(matches)} other matches). {_other_remedy(over)}"
         )
-    return files
+    return files, over
 
 
-def _is_kind(path: Path, suffixes: tuple[str, ...]) -> bool:
+def _is_kind(path: Path, suffixes: Collection[str]) -> bool:
     return path.suffix.lower() in suffixes and not path.name.startswith(".") and not path.is_dir()
 
 
+def _other_remedy(over: Sequence[Path]) -> str:
+    counts = Counter(path.suffix for path in over)
+    listed = ", ".join(f"{count} {suffix}" for suffix, count in sorted(counts.items()))
+    return f"Convert the {listed} pictures to PNG or JPEG" if over else "Check the name"
+
+
 def _clip_of_folder(folder: Path) -> Clip:
+    over: list[Path] = []
     for place in (folder, folder / FRAMES_FOLDER):
-        images = _images_in(place)
+        files = _files_in(place)
+        images = [path for path in files if _is_kind(path, IMAGE_SUFFIXES)]
+        over += [path for path in files if _is_kind(path, OTHER_PICTURES)]
         if images:
-            return _clip_of_files(images, place)
+            return _clip_of_files(images, place, over)
     videos = sum(_is_kind(path, VIDEO_SUFFIXES) for path in folder.iterdir())
-    remedy = f"It holds {videos} video(s): enter the name of one" if videos else "Check the name"
+    remedy = f"It holds {videos} video(s): enter the name of one" if videos else _other_remedy(over)
     raise BadInput(
         f"{folder} holds no images ({', '.join(IMAGE_SUFFIXES)}), "
         f"nor does a folder {FRAMES_FOLDER} in it. {remedy}"
     )
 
 
-def _images_in(folder: Path) -> list[Path]:
+def _files_in(folder: Path) -> list[Path]:
     try:
-        return (
-            [path for path in folder.iterdir() if _is_kind(path, IMAGE_SUFFIXES)] if folder.is_dir() else []
-        )
+        return list(folder.iterdir()) if folder.is_dir() else []
     except OSError as error:
         raise UnreadableFile(f"cannot read {folder}: {error.strerror}. Check the permissions") from error
 
 
-def _clip_of_files(files: Sequence[Path], folder: Path | None) -> Clip:
-    paths = sorted(files, key=lambda path: natural_key(path.as_posix()))
-    repeated = [path for path, count in Counter(path.resolve() for path in paths).items() if count > 1]
+def _clip_of_files(files: Sequence[Path], folder: Path | None, over: Sequence[Path]) -> Clip:
+    for path in files:
+        check_frame_name(path)
+    paths = sorted(files, key=lambda path: natural_key(composed(path.as_posix())))
+    repeated = [path for path, count in Counter(map(_place_of, paths)).items() if count > 1]
     if repeated:
         raise BadInput(
             f"{repeated[0]} is repeated ({len(repeated)} such files); expected each file once. Remove the repetitions"
@@ -243,26 +301,51 @@ def _clip_of_files(files: Sequence[Path], folder: Path | None) -> Clip:
     parents = {path.parent.resolve() for path in paths}
     home = folder or (paths[0].parent if len(parents) == 1 else None)
     name = _name_of(home or Path(os.path.commonpath(parents)))
-    return Clip(name, _unique_names(paths), _common_size(paths), _sidecar_of(home), tuple(paths))
+    size = _common_size(paths)
+    return Clip(
+        name, _unique_names(paths), size, _sidecar_of(home), tuple(paths), notes=_notes_on(paths, over)
+    )
+
+
+def _place_of(path: Path) -> Path:
+    """Return the full path. A link is not followed: git-annex has one content for equal frames."""
+    return path.parent.resolve() / path.name
+
+
+def _notes_on(paths: Sequence[Path], over: Sequence[Path]) -> tuple[str, ...]:
+    """Report pictures that were passed over, and animations of which only the default image is used."""
+    notes = []
+    for suffix, count in sorted(Counter(path.suffix for path in over).items()):
+        some = "picture was" if count == 1 else "pictures were"
+        notes.append(f"{count} {suffix} {some} passed over, which cannot be read: convert to PNG or JPEG")
+    animated = [path for path in paths if animation_frames(path)]
+    if animated:
+        notes.append(
+            f"{len(animated)} of {len(paths)} pictures are animations, such as {animated[0]}: of each its default "
+            "image is used. Rename one to .apng to use its frames as a clip"
+        )
+    return tuple(notes)
 
 
 def _clip_of_video(path: Path) -> Clip:
     from morphspace.io.video import video_info  # loads libav, which stills do not need
 
+    check_frame_name(path)
     info = video_info(path)
     beside = path.with_suffix("." + SIDECAR_NAME)
     sidecar = read_sidecar(beside) if beside.is_file() else Sidecar()
     if sidecar.frame_rate_hz is None and info.frame_rate_hz > 0:
         sidecar = replace(sidecar, frame_rate_hz=info.frame_rate_hz)
     digits = max(6, len(str(info.frame_count)))
-    names = tuple(f"{path.stem}_{index:0{digits}d}" for index in range(info.frame_count))
+    stem = composed(path.stem)
+    names = tuple(f"{stem}_{index:0{digits}d}" for index in range(info.frame_count))
     indices = tuple(range(info.frame_count))
-    return Clip(path.stem, names, info.size, sidecar, (path,) * info.frame_count, indices)
+    return Clip(stem, names, info.size, sidecar, (path,) * info.frame_count, indices)
 
 
 def _name_of(folder: Path) -> str:
     folder = folder.resolve()
-    return (folder.parent if folder.name == FRAMES_FOLDER else folder).name or "clip"
+    return composed((folder.parent if folder.name == FRAMES_FOLDER else folder).name or "clip")
 
 
 def _sidecar_of(folder: Path | None) -> Sidecar:
@@ -277,18 +360,18 @@ def _sidecar_of(folder: Path | None) -> Sidecar:
 
 def _unique_names(paths: Sequence[Path]) -> tuple[str, ...]:
     """Return the file names without suffix; if they clash, with suffix, then with folder names as prefix."""
-    names = [path.stem for path in paths]
+    names = [composed(path.stem) for path in paths]
     if len(set(names)) == len(names):
         return tuple(names)
-    whole = [path.name for path in paths]
+    whole = [composed(path.name) for path in paths]
     if len(set(whole)) == len(whole):
         return tuple(whole)
-    parts = [path.resolve().with_suffix("").parts[1:] for path in paths]
+    parts = [_place_of(path).with_suffix("").parts[1:] for path in paths]
     for depth in range(2, max(map(len, parts)) + 1):
-        names = ["_".join(part[-depth:]) for part in parts]
+        names = [composed("_".join(part[-depth:])) for part in parts]
         if len(set(names)) == len(names):
             return tuple(names)
-    return tuple(f"{name}_{index:06d}" for index, name in enumerate(path.stem for path in paths))
+    return tuple(f"{composed(path.stem)}_{index:06d}" for index, path in enumerate(paths))
 
 
 def _common_size(paths: Sequence[Path]) -> tuple[int, int]:

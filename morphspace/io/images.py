@@ -1,8 +1,10 @@
 """Still images, read and written with exact 8- and 16-bit codes (ours).
 
 OpenImageIO returns a partly filled buffer for some damaged files and converts CMYK to RGB silently. Each file is
-therefore checked here: complete, one image, known channels, finite values. EXR holds linear light by convention and
-is converted to sRGB coding on reading and back on writing. Every other format is taken as sRGB-coded.
+therefore checked here: size, complete, one image, known channels, finite values. EXR holds linear light by convention
+and is converted to sRGB coding on reading and back on writing. Any other format is taken as sRGB-coded, unless it
+declares another colour space (`profiles`). AVIF, which OpenImageIO does not read, is read by libav. HEIC is refused:
+libav neither joins the tiles of a phone's picture nor cuts off the edge that pads it.
 """
 
 from __future__ import annotations
@@ -20,6 +22,9 @@ import OpenImageIO as oiio
 from morphspace.arrays import AnyArray, Image, Mask
 from morphspace.errors import BadInput, UnreadableFile, UnwritableFile
 from morphspace.io.colour import check_image, codes_of, linear_of_srgb, srgb_of_linear
+from morphspace.io.limits import PICTURE_PX, check_limit
+from morphspace.io.names import check_link, check_name
+from morphspace.io.profiles import from_profile, from_space, in_srgb
 from morphspace.storage import whole_file
 
 oiio.attribute("threads", 1)  # callers distribute files over processes
@@ -34,6 +39,7 @@ READ_FORMATS = (
     "webp",
     "pnm",
     "targa",
+    "jpegxl",
 )  # truncated files of these formats are detected
 WRITE_SUFFIXES = (".png", ".tif", ".tiff", ".jpg", ".jpeg", ".exr")
 COLOUR_CHANNELS = (("r", "g", "b"), ("r", "g", "b", "a"), ("y",), ("y", "a"))
@@ -45,15 +51,33 @@ TIFF_MODELS = (
     6,
 )  # photometric interpretations: grey, RGB, palette and YCbCr; the others are CMYK or Lab
 PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"
+AVIF_SPACES = {1: "", 2: "", 5: "", 6: "", 12: "srgb_p3d65_scene"}  # by primaries (ISO 23091-2)
 JPEG_QUALITY = 95  # of 100; at 4:4:4 errors stay near one 8-bit code
 FOLDER_MARKS = re.compile(r"[/\\]")
 LONGEST_NAME = 200  # bytes; file systems allow 255, including the suffix of a temporary file
+RANGES = {  # sRGB-coded; what is beyond was saved with another white, or as -1 to 1
+    True: (-3.0, 7.0),  # EXR: renderings keep colours far out, and 7 is 95 times white in linear light
+    False: (-0.75, 4.0),  # Display P3 reaches -0.5 in sRGB
+}
+PRIMARIES = (0.64, 0.33, 0.3, 0.6, 0.15, 0.06, 0.3127, 0.329)  # xy of Rec. 709 and white, in EXR
+PRIMARIES_TOLERANCE = 0.002  # files give three or four digits
+BOX = b"ftyp"  # bytes 4 to 8 of AVIF, HEIC and MP4 (ISO 14496-12)
+LONGEST_BOX = 256  # bytes; the box lists a few brands of four
+AVIF_BRANDS = (b"avif", b"avis")
+VIDEO_BRANDS = (b"isom", b"iso2", b"iso5", b"iso6", b"mp41", b"mp42", b"qt  ", b"M4V ", b"avc1", b"dash")
+POINTERS = {b"/annex/objects/": "git annex get", b"version https://git-lfs": "git lfs pull"}
 GREY_TOLERANCE = 1.5 / 255  # JPEG rounding makes the channels of a grey mask differ by one code
 
 
 def image_size(path: str | Path) -> tuple[int, int]:
-    """Return (width, height) px of the upright image, from the header alone. Raises `UnreadableFile`."""
-    source = _open(Path(path))
+    """Return (width, height) px of the upright image, from the header alone; of AVIF from the picture.
+
+    Raises `UnreadableFile`, and `BadInput` if the image is larger than the limit (`limits.PICTURE_PX`).
+    """
+    path = Path(path)
+    if _is_avif(path):
+        return _opened_avif(path)[1]
+    source = _open(path)
     spec = source.spec()
     source.close()
     size = (int(spec.width), int(spec.height))
@@ -63,8 +87,8 @@ def image_size(path: str | Path) -> tuple[int, int]:
 def read_image(path: str | Path, *, background: Sequence[float] | None = None) -> Image:
     """Read a still image as (h, w, 3) float32, sRGB-coded; the largest integer code becomes 1.0.
 
-    Grey is repeated to three channels and the camera's orientation tag is applied. Values of float files outside [0,
-    1] are kept. Colour profiles in the file are not applied.
+    Grey is repeated to three channels and the camera's orientation tag is applied. Values of float files a
+    little outside [0, 1] are kept. Colours in another space, such as Display P3, are converted to sRGB.
 
     Parameters
     ----------
@@ -77,17 +101,21 @@ def read_image(path: str | Path, *, background: Sequence[float] | None = None) -
     UnreadableFile
         If the file is missing, empty, truncated or not an image.
     BadInput
-        If it has transparency and there is no background; if it has CMYK or unknown channels, several images, or
-        values that are not finite.
+        If it has transparency and there is no background; if it has CMYK or unknown channels, several images, a
+        colour space that cannot be converted, too many pixels, or values that are not finite or far outside [0, 1].
     """
     path = Path(path)
     if background is not None and not (len(background) == 3 and all(0 <= value <= 1 for value in background)):
         raise BadInput(
             f"the background is {tuple(background)}; expected three values in [0, 1]. Try 0.5 0.5 0.5"
         )
+    if _is_avif(path):
+        return _read_avif(path)
     values, names, spec = _read_channels(path)
     is_linear = _format_of(spec) == "openexr"
     colour = values[..., :3] if len(names) >= 3 else np.repeat(values[..., :1], 3, axis=2)
+    if not is_linear:
+        colour = in_srgb(path, colour, spec)
     if names[-1] == "a" and (values[..., -1] < 1).any():
         if background is None:
             raise BadInput(
@@ -102,6 +130,7 @@ def read_image(path: str | Path, *, background: Sequence[float] | None = None) -
         colour = (colour * alpha if is_straight else colour) + (1 - alpha) * behind
     if is_linear:
         colour = srgb_of_linear(colour)
+    _check_range(path, colour, RANGES[is_linear])
     return np.ascontiguousarray(colour, dtype=np.float32)
 
 
@@ -223,18 +252,110 @@ def jpeg_bytes(image: Image, quality: int = JPEG_QUALITY) -> bytes:
     return _encoded(".jpg", codes_of(image, 8)[0], _jpeg_options(quality))
 
 
+def animation_frames(path: Path) -> int:
+    """Return the number of frames that a PNG declares in its animation (APNG); 0 for any other file."""
+    with path.open("rb") as file:
+        if file.read(len(PNG_SIGNATURE)) != PNG_SIGNATURE:
+            return 0
+        while len(head := file.read(8)) == 8 and head[4:] not in (b"IDAT", b"IEND"):
+            if head[4:] == b"acTL":
+                return int.from_bytes(file.read(4), "big")
+            file.seek(int.from_bytes(head[:4], "big") + 4, 1)
+    return 0
+
+
+def _is_avif(path: Path) -> bool:
+    """Return whether a file declares itself as AVIF. Raise `BadInput` if it is a HEIC."""
+    try:
+        with path.open("rb") as file:
+            head = file.read(8)
+            brands = file.read(max(0, min(int.from_bytes(head[:4], "big"), LONGEST_BOX) - 8))
+    except OSError:
+        return False  # `_open` says why
+    if head[4:] != BOX or brands[:4] in VIDEO_BRANDS:
+        return False
+    if not any(brand in brands for brand in AVIF_BRANDS):
+        raise BadInput(
+            f"{path} is a HEIC picture; expected a format whose tiles and edges libav joins and cuts. Convert it to "
+            "PNG or JPEG"
+        )
+    return True
+
+
+def _opened_avif(path: Path) -> tuple[Any, tuple[int, int]]:
+    """Return the one frame of an AVIF, as stored, and the (width, height) px of its upright picture."""
+    import av
+
+    from morphspace.io.video import video_info
+
+    try:
+        with av.open(str(path)) as container:
+            streams = container.streams.video
+            if len(streams) != 1:
+                raise BadInput(
+                    f"{path} holds {len(streams)} parts, such as tiles or transparency; expected one picture, since "
+                    "libav does not join them. Convert it to PNG or JPEG"
+                )
+            _check_size(path, streams[0].codec_context.width, streams[0].codec_context.height)
+            frame = next(container.decode(streams[0]), None)
+    except (av.FFmpegError, OSError) as error:
+        reason = error.strerror or "no reason given"
+        raise UnreadableFile(f"{path} is damaged or not a picture: {reason}. Copy it again") from error
+    info = video_info(path)
+    if frame is None or info.frame_count != 1:
+        raise BadInput(
+            f"{path} holds {info.frame_count} pictures; expected one. Save that one as a separate file"
+        )
+    return frame, info.size
+
+
+def _read_avif(path: Path) -> Image:
+    """Read an AVIF of one picture as (h, w, 3), sRGB-coded."""
+    from morphspace.io.video import read_frames
+
+    frame, _ = _opened_avif(path)
+    colour = next(iter(read_frames(path)))
+    try:
+        profiles = [bytes(data) for data in frame.side_data if data.type.name == "ICC_PROFILE"]
+    except ValueError as error:  # PyAV does not know all kinds of FFmpeg, such as Exif
+        raise BadInput(
+            f"{path} has metadata that PyAV cannot read, and its colour profile with them. Convert it to PNG or JPEG"
+        ) from error
+    if profiles:
+        return from_profile(path, colour, profiles[0])
+    return from_space(path, colour, AVIF_SPACES.get(int(frame.color_primaries), "of unusual primaries"))
+
+
+def _check_size(path: Path, width: int, height: int) -> None:
+    check_limit(f"{path}, {width} x {height} px,", width * height, PICTURE_PX, "Scale it down")
+
+
+def _check_range(path: Path, colour: AnyArray, limits: tuple[float, float]) -> None:
+    low, high = float(colour.min()), float(colour.max())
+    if low < limits[0] or high > limits[1]:
+        raise BadInput(
+            f"{path} holds values from {low:.4g} to {high:.4g}, sRGB-coded; expected 0 for black to 1 for white. "
+            "Divide by the value of white, and save it again"
+        )
+
+
 def _open(path: Path) -> Any:
     """Open a still image for reading. Raise `UnreadableFile` with one line that states the reason."""
+    check_name(path)
     try:
         size = path.stat().st_size
         if path.is_dir():
             raise UnreadableFile(f"{path} is a folder; expected an image. Enter the name of a file")
-        with path.open("rb"):
-            pass
+        with path.open("rb") as file:
+            head = file.read(32)
     except OSError as error:
+        check_link(path)
         raise UnreadableFile(
             f"cannot read {path}: {error.strerror}. Check the name and the permissions"
         ) from error
+    for start, command in POINTERS.items():
+        if head.startswith(start):
+            raise UnreadableFile(f"{path} is a pointer to a file that is not here. Run `{command}` for it")
     if size == 0:
         raise UnreadableFile(f"{path} is empty (0 bytes). Copy it again")
     wish = oiio.ImageSpec()
@@ -250,6 +371,12 @@ def _open(path: Path) -> Any:
         raise UnreadableFile(
             f"{path} is a {kind} file; expected one of {', '.join(READ_FORMATS)}. Convert it"
         )
+    spec = source.spec()
+    try:
+        _check_size(path, spec.width, spec.height)
+    except BadInput:
+        source.close()
+        raise
     return source
 
 
@@ -304,6 +431,12 @@ def _check_header(path: Path, spec: Any, kind: str) -> list[int]:
         raise BadInput(
             f"{path} has a data window of {spec.width} x {spec.height} px; expected that of its display window, "
             f"{spec.full_width} x {spec.full_height}. Save it so"
+        )
+    declared = spec.getattribute("chromaticities") if kind == "openexr" else None
+    if declared is not None and not np.allclose(declared, PRIMARIES, atol=PRIMARIES_TOLERANCE):
+        listed = ", ".join(f"{value:g}" for value in declared)
+        raise BadInput(
+            f"{path} has the primaries and white {listed}; expected those of sRGB (Rec. 709). Convert it to linear sRGB"
         )
     names = [name.lower() for name in spec.channelnames]
     for wanted in COLOUR_CHANNELS:

@@ -117,7 +117,7 @@ def build_clip(clip: Clip, asked: ClipSettings, work_folder: Path) -> Steps[tupl
         If the settings need the detector and its networks are not installed.
     """
     detector, missing = detector_for(asked.landmarks)
-    notes = list(missing)
+    notes = [*clip.notes, *missing]
     crop, found_crop = asked.crop, None
     if crop == "auto":
         width, height = asked.size or DEFAULT_SIZE

@@ -66,7 +66,7 @@ def run(request: EncodeRequest) -> Steps[Outcome]:
         "components": model.rank,
         "furthest_sd": furthest,
     }
-    notes = notes_on_enlarging(source.framing, model.identity)
+    notes = source.clip.notes + notes_on_enlarging(source.framing, model.identity)
     notes += notes_on_own(own)
     return Outcome(lines, document, notes, written)
 

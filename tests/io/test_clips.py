@@ -2,6 +2,7 @@
 
 import hashlib
 import json
+import os
 import random
 import subprocess
 import sys
@@ -9,6 +10,7 @@ import sys
 import numpy as np
 import pytest
 from numpy.testing import assert_array_equal
+from PIL import Image as Pillow
 
 from morphspace.errors import BadInput, SizeMismatch, UnreadableFile
 from morphspace.io.clips import natural_key, open_clip
@@ -203,6 +205,84 @@ def test_what_is_no_clip_is_named(folder):
     ):
         with pytest.raises(BadInput, match=words):
             open_clip(sources)
+
+
+def test_pictures_that_are_not_read_are_counted_by_type(folder):
+    for name in ("a.HEIC", "b.HEIC", "c.dng", ".hidden.heic"):
+        (folder / name).write_bytes(b"\0\0\0\x18ftypheic")
+    (folder / "notes.txt").write_text("")
+    wanted = (
+        "2 .HEIC pictures were passed over, which cannot be read: convert to PNG or JPEG",
+        "1 .dng picture was passed over, which cannot be read: convert to PNG or JPEG",
+    )
+    for sources in ([folder], [f"{folder}/*"]):
+        clip = open_clip(sources)
+        assert (clip.frame_names, clip.notes) == (NAMES, wanted)
+        assert clip.subset([1, 3]).notes == wanted
+    assert open_clip([f"{folder}/*.png"]).notes == ()
+    for path in folder.glob("*.png"):
+        path.unlink()
+    for sources in ([folder], [f"{folder}/*"]):
+        with pytest.raises(BadInput, match=r"Convert the 2 \.HEIC, 1 \.dng pictures to PNG or JPEG"):
+            open_clip(sources)
+
+
+def test_names_are_composed_whatever_the_system_wrote(folder):
+    for number, name in enumerate(("a\u0301", "z\u0308")):
+        (folder / f"frame_{number}.png").rename(folder / f"{name}.png")
+    clip = open_clip([folder])
+    assert clip.frame_names == (*NAMES[2:], "z\u0308", "\u00e1")
+    both = folder.parent / "both"
+    both.mkdir()
+    for number, name in enumerate(("\u00e1", "a\u0301")):
+        write_image(both / f"{name}.png", FRAMES[number])
+    assert len(set(open_clip([both]).frame_names)) == len(list(both.iterdir()))
+
+
+@pytest.mark.parametrize("name", ["a,b", "[1]", "a;b", 'say "a"', "a|b", "<i>", "a'b", "50%", "#1"])
+def test_commas_brackets_and_marks_in_names_are_kept(folder, name):
+    (folder / "frame_3.png").rename(folder / f"{name}.png")
+    clip = open_clip([folder])
+    assert sorted(clip.frame_names) == sorted({*NAMES, name} - {"frame_3"})
+    assert_array_equal(open_clip([folder / f"{name}.png"]).load(0), FRAMES[3])
+
+
+@pytest.mark.parametrize("name", [b"M\xfcller.png", b"two\nlines.png", b"\x1b[2J.png", b"=1+1.png"])
+def test_a_frame_that_cannot_be_named_is_refused_in_one_line(folder, name):
+    os.rename(folder / "frame_3.png", os.path.join(os.fsencode(folder), name))  # noqa: PTH104, PTH118
+    for sources in ([folder], [f"{folder}/*"]):
+        with pytest.raises(BadInput, match=r"the file name .* Rename it") as caught:
+            open_clip(sources)
+        assert str(caught.value).isprintable()
+
+
+def test_links_of_git_annex_are_frames_though_equal_frames_have_one_content(folder):
+    store = folder.parent / ".git" / "annex" / "objects"
+    write_image(store / "SHA256E-s1--0.png", FRAMES[0])
+    for name in ("frame_0", "frame_1"):
+        (folder / f"{name}.png").unlink()
+        (folder / f"{name}.png").symlink_to(store / "SHA256E-s1--0.png")
+    clip = open_clip([folder])
+    assert clip.frame_names == NAMES
+    assert_array_equal(clip.load(1), FRAMES[0])
+    (store / "SHA256E-s1--0.png").unlink()
+    for sources in ([folder], [folder / "frame_0.png"]):
+        with pytest.raises(UnreadableFile, match=r"frame_0\.png is a link of git-annex"):
+            open_clip(sources)
+
+
+def test_an_animated_png_is_a_still_with_a_note_and_a_clip_by_its_name(folder):
+    codes = [np.rint(frame * 255).astype(np.uint8) for frame in FRAMES]
+    first, *rest = map(Pillow.fromarray, codes)
+    first.save(folder / "frame_0.png", save_all=True, append_images=rest, duration=40)
+    clip = open_clip([folder])
+    assert clip.frame_names == NAMES
+    assert [note[:40] for note in clip.notes] == ["1 of 12 pictures are animations, such as"]
+    (folder / "frame_0.png").rename(folder.parent / "take.apng")
+    clip = open_clip([folder.parent / "take.apng"])
+    assert len(clip) == 12
+    for image, frame in zip(clip.images(), FRAMES, strict=True):
+        assert_array_equal(image, frame)
 
 
 def test_one_unreadable_frame_is_named_on_opening(folder):

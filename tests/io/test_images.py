@@ -4,8 +4,10 @@ Files of other programs come from Pillow and OpenCV, which judge ours in turn.
 """
 
 import os
+import struct
 import subprocess
 import sys
+import zlib
 from pathlib import Path
 
 import cv2
@@ -300,6 +302,117 @@ def test_what_is_not_an_image_is_named(tmp_path):
         for read in (read_image, image_size, read_mask):
             with pytest.raises(UnreadableFile, match=words):
                 read(tmp_path / name)
+
+
+@pytest.mark.parametrize(
+    ("suffix", "low", "high"),
+    [
+        *((suffix, 0.0, high) for suffix in (".tif", ".exr") for high in (100.0, 255.0, 65535.0, 1e30)),
+        (".tif", -1.0, 1.0),
+        (".exr", -100.0, 1.0),
+    ],
+)
+def test_floats_far_outside_the_unit_range_are_refused_with_their_range(tmp_path, suffix, low, high):
+    values = np.linspace(low, high, 300, dtype=np.float32).reshape(10, 10, 3)
+    write_channels(tmp_path / f"a{suffix}", values, ("R", "G", "B"))
+    coded = srgb_of_linear(values) if suffix == ".exr" else values
+    found = f"from {coded.min():.4g} to {coded.max():.4g}".replace("+", r"\+")
+    with pytest.raises(
+        BadInput, match=rf"a{suffix} holds values {found}, .*; expected 0 for black to 1 for white"
+    ):
+        read_image(tmp_path / f"a{suffix}")
+
+
+def test_floats_a_little_outside_the_unit_range_are_kept(tmp_path):
+    values = np.linspace(-0.5, 3.5, 300, dtype=np.float32).reshape(10, 10, 3)
+    write_channels(tmp_path / "a.tif", values, ("R", "G", "B"))
+    assert_array_equal(read_image(tmp_path / "a.tif"), values)
+
+
+def huge_png(path, side):
+    """A PNG whose header declares a picture that its few bytes do not hold."""
+    head = struct.pack(">II5B", side, side, 8, 0, 0, 0, 0)
+    chunks = ((b"IHDR", head), (b"IDAT", bytes(1_200_000)), (b"IEND", b""))
+    parts = [struct.pack(">I", len(d)) + k + d + struct.pack(">I", zlib.crc32(k + d)) for k, d in chunks]
+    path.write_bytes(b"\x89PNG\r\n\x1a\n" + b"".join(parts))
+
+
+def test_a_picture_beyond_the_limit_is_refused_from_its_header(tmp_path, monkeypatch):
+    huge_png(tmp_path / "a.png", 20_000)
+    Pillow.fromarray(CODES).save(tmp_path / "b.avif")
+    monkeypatch.setattr(images, "_check_png_is_whole", None)
+    for read in (read_image, image_size, read_mask):
+        with pytest.raises(
+            BadInput, match=r"a\.png, 20000 x 20000 px, has 400000000 px; expected at most 120000000"
+        ):
+            read(tmp_path / "a.png")
+    monkeypatch.setenv("MORPHSPACE_LARGEST_PICTURE_PX", "100")
+    with pytest.raises(BadInput, match=r"b\.avif, 22 x 30 px, .* or set MORPHSPACE_LARGEST_PICTURE_PX=660"):
+        image_size(tmp_path / "b.avif")
+    monkeypatch.setenv("MORPHSPACE_LARGEST_PICTURE_PX", "400000000")
+    assert image_size(tmp_path / "a.png") == (20_000, 20_000)
+
+
+def test_avif_and_jpeg_xl_are_read(tmp_path):
+    smooth = Pillow.fromarray(np.rint(SMOOTH * 255).astype(np.uint8))
+    smooth.save(tmp_path / "a.avif", quality=95, subsampling="4:4:4")
+    assert image_size(tmp_path / "a.avif") == smooth.size
+    stored = np.asarray(Pillow.open(tmp_path / "a.avif").convert("RGB"), np.float32) / 255
+    assert_allclose(read_image(tmp_path / "a.avif"), stored, atol=2 / 255)  # two decoders' rounding
+    write_channels(tmp_path / "a.jxl", CODES, ("R", "G", "B"))
+    assert image_size(tmp_path / "a.jxl") == (22, 30)
+    assert_array_equal(read_image(tmp_path / "a.jxl"), unit(CODES))
+
+
+def test_an_avif_that_is_turned_is_read_upright(tmp_path):
+    exif = Pillow.Exif()
+    exif[ExifTags.Base.Orientation] = 6
+    turned = np.rint(SMOOTH * 255).astype(np.uint8)
+    Pillow.fromarray(turned).save(tmp_path / "a.avif", quality=95, subsampling="4:4:4", exif=exif)
+    assert image_size(tmp_path / "a.avif") == (120, 100)
+    assert_allclose(read_image(tmp_path / "a.avif"), np.rot90(SMOOTH, -1), atol=10 / 255)  # quality 95
+
+
+def test_an_avif_of_several_parts_is_refused(tmp_path):
+    rgba = Pillow.fromarray(np.dstack([CODES, ALPHA]))
+    rgba.save(tmp_path / "clear.avif")
+    with pytest.raises(BadInput, match=r"clear\.avif holds 2 parts, such as tiles or transparency"):
+        read_image(tmp_path / "clear.avif")
+    (tmp_path / "cut.avif").write_bytes((tmp_path / "clear.avif").read_bytes()[:200])
+    with pytest.raises(BadInput, match=r"cut\.avif"):
+        read_image(tmp_path / "cut.avif")
+
+
+def test_a_heic_is_refused_by_name(tmp_path):
+    (tmp_path / "a.jpg").write_bytes(b"\0\0\0\x18ftypheic\0\0\0\0mif1heic" + bytes(100))
+    for read in (read_image, image_size):
+        with pytest.raises(BadInput, match=r"a\.jpg is a HEIC picture; .* Convert it"):
+            read(tmp_path / "a.jpg")
+
+
+def test_a_still_of_an_animated_png_is_its_default_image(tmp_path):
+    """PNG, third edition, 4.9: the static image is what a decoder without animation shows."""
+    first, second = (Pillow.fromarray(np.full((8, 9, 3), value, np.uint8)) for value in (10, 200))
+    for name, apart in (("inside.png", False), ("apart.png", True)):
+        first.save(tmp_path / name, save_all=True, append_images=[second, first], default_image=apart)
+        assert_array_equal(read_image(tmp_path / name), np.float32(10) / np.float32(255))
+    assert images.animation_frames(tmp_path / "inside.png") == 3
+    assert images.animation_frames(tmp_path / "apart.png") == 2
+    first.save(tmp_path / "still.png")
+    assert images.animation_frames(tmp_path / "still.png") == 0
+
+
+@pytest.mark.parametrize(
+    ("content", "words"),
+    [
+        (b"/annex/objects/SHA256E-s42--0.png\n", "git annex get"),
+        (b"version https://git-lfs.github.com/spec/v1\noid sha256:0\nsize 42\n", "git lfs pull"),
+    ],
+)
+def test_a_pointer_to_a_file_says_how_to_get_it(tmp_path, content, words):
+    (tmp_path / "a.png").write_bytes(content)
+    with pytest.raises(UnreadableFile, match=rf"a\.png is a pointer .* Run `{words}`"):
+        read_image(tmp_path / "a.png")
 
 
 def test_a_wrong_suffix_does_not_matter(tmp_path):
