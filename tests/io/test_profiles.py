@@ -96,13 +96,11 @@ def test_a_picture_of_another_space_is_converted_as_littlecms_does(tmp_path, icc
         ".avif": {"quality": 95, "subsampling": "4:4:4"},
     }
     smooth = Pillow.fromarray(CODES[:5, :4]).resize((40, 30), Pillow.Resampling.BICUBIC)
+    smooth.save(tmp_path / f"plain_{name}", **options.get(name[1:], {}))
     smooth.save(tmp_path / name, icc_profile=icc, **options.get(name[1:], {}))
-    stored = Pillow.open(tmp_path / name).convert("RGB")
-    lossy = {"a.avif": 8 / 255, "a.jpg": 3 / 255}.get(
-        name, 0
-    )  # two decoders; dark colours grow in the matrix
+    stored = Pillow.fromarray(np.rint(read_image(tmp_path / f"plain_{name}") * 255).astype(np.uint8))
     image = read_image(tmp_path / name)
-    assert_allclose(image, littlecms(icc, stored), atol=ROUNDING + lossy)
+    assert_allclose(image, littlecms(icc, stored), atol=ROUNDING)
     assert np.abs(image - np.asarray(stored) / 255).max() > 20 / 255
 
 
@@ -133,7 +131,7 @@ def test_a_grey_profile_is_converted_and_a_mask_keeps_its_weights(tmp_path):
     grey = Pillow.fromarray(CODES[..., 0])
     grey.save(tmp_path / "a.png", icc_profile=GREY)
     image = read_image(tmp_path / "a.png")
-    assert_array_equal(image[..., :1], image)
+    assert (image[..., :1] == image).all()
     wanted = srgb_of_linear(PLAIN[..., 0] ** np.float32(1.8))
     assert_allclose(image[..., 0], wanted, atol=1e-3)  # the profile has 461/256
     assert_allclose(image, littlecms(GREY, grey, "L"), atol=1.5 / 255)  # it rounds lightness to 8 bits
