@@ -17,6 +17,7 @@ import os
 import re
 import types
 import typing
+import unicodedata
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -286,6 +287,9 @@ def converted(field: Field, given: Any, place: Callable[[str], Path] = Path) -> 
     WrongSetting
         If the value cannot be converted or lies outside its limits.
     """
+    if not _is_text(given):
+        named = shown(os.fspath(given) if isinstance(given, os.PathLike) else given)
+        raise WrongSetting(field.name, f"is {named}; expected UTF-8. Rename the file")
     try:
         return _converted(given, field.kind, field.marks, place)
     except _OtherKind as error:
@@ -406,7 +410,15 @@ def _text(given: Any, marks: tuple[Any, ...], place: Callable[[str], Path]) -> s
     choice = mark_of(marks, OneOf)
     if not isinstance(given, str) or not given.strip() or (choice is not None and given not in choice.values):
         raise _OtherKind
-    return str(place(given)) if mark_of(marks, NamesFile) is not None else given
+    return str(place(given)) if mark_of(marks, NamesFile) is not None else unicodedata.normalize("NFC", given)
+
+
+def _is_text(given: Any) -> bool:
+    """Return whether all texts in a value are UTF-8: the system gives other bytes of file names as lone surrogates."""
+    if isinstance(given, list | tuple):
+        return all(map(_is_text, given))
+    text = os.fspath(given) if isinstance(given, os.PathLike) else given
+    return not isinstance(text, str) or not any("\ud800" <= character <= "\udfff" for character in text)
 
 
 def shown(given: Any) -> str:

@@ -6,6 +6,7 @@ Heavy modules are imported only when a verb runs, so help is fast.
 
 from __future__ import annotations
 
+import io
 import json
 import re
 import signal
@@ -31,6 +32,7 @@ PROGRESS_EVERY_S, IN_A_LOG_EVERY_S = (
     30.0,
 )  # s; on a terminal, and in a log file, where each update adds a line
 INTERRUPTED = 130
+CONTROL = re.compile(r"[\x00-\x1f\x7f-\x9f]+")  # names in messages may hold what moves a terminal's cursor
 
 
 @declared
@@ -79,6 +81,8 @@ class Verbs(click.Group):
     def main(self, *args: Any, **extra: Any) -> Any:
         """Run the command and exit; a usage error is printed in one line."""
         extra["standalone_mode"] = False
+        if isinstance(sys.stdout, io.TextIOWrapper):  # a legacy code page lacks most characters
+            sys.stdout.reconfigure(errors="replace")
         given = args[0] if args else extra.get("args")
         is_told = "--json" in (sys.argv[1:] if given is None else given)  # the option is not parsed yet
         try:
@@ -183,7 +187,7 @@ def _driven(steps: Steps[Outcome], silent: bool) -> Outcome:
     def on_step(step: Step) -> None:
         nonlocal stage, bar
         for line in step.lines:
-            click.echo(line, err=True)
+            click.echo(CONTROL.sub(" ", line), err=True)
         if bar is None or step.stage != stage or step.done < bar.n:
             if bar is not None:
                 bar.close()
@@ -209,18 +213,22 @@ def _driven(steps: Steps[Outcome], silent: bool) -> Outcome:
 def _show(outcome: Outcome, quiet: bool, as_json: bool) -> None:
     for warning in outcome.warnings:
         if not quiet:
-            click.echo(f"note: {' '.join(warning.split())}", err=True)
+            click.echo(f"note: {_one_line(warning)}", err=True)
     if as_json:
         document = {**outcome.document, "warnings": list(outcome.warnings)}
         click.echo(json.dumps(document, indent=2, sort_keys=True))
     elif not quiet:
         for line in outcome.lines:
-            click.echo(re.sub(r"[\x00-\x1f\x7f]+", " ", line))
+            click.echo(CONTROL.sub(" ", line))
+
+
+def _one_line(text: str) -> str:
+    return " ".join(CONTROL.sub(" ", text).split())
 
 
 def _fail(message: str, code: int, kind: str | None = None) -> None:
     """Print one line on the error stream, and the same as JSON on standard output if `kind` is given; then exit."""
-    line = " ".join(message.split())
+    line = _one_line(message)
     click.echo(f"morphspace: {line}", err=True)
     if kind is not None:
         error = {"exit_code": code, "kind": kind, "message": line}

@@ -9,7 +9,6 @@ libav neither joins the tiles of a phone's picture nor cuts off the edge that pa
 
 from __future__ import annotations
 
-import re
 import zlib
 from collections.abc import Sequence
 from pathlib import Path
@@ -23,7 +22,7 @@ from morphspace.arrays import AnyArray, Image, Mask
 from morphspace.errors import BadInput, UnreadableFile, UnwritableFile
 from morphspace.io.colour import check_image, codes_of, linear_of_srgb, srgb_of_linear
 from morphspace.io.limits import PICTURE_PX, check_limit
-from morphspace.io.names import check_link, check_name
+from morphspace.io.names import UNFIT, check_link, check_name
 from morphspace.io.profiles import from_profile, from_space, in_srgb
 from morphspace.storage import whole_file
 
@@ -53,7 +52,6 @@ TIFF_MODELS = (
 PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"
 AVIF_SPACES = {1: "", 2: "", 5: "", 6: "", 12: "srgb_p3d65_scene"}  # by primaries (ISO 23091-2)
 JPEG_QUALITY = 95  # of 100; at 4:4:4 errors stay near one 8-bit code
-FOLDER_MARKS = re.compile(r"[/\\]")
 LONGEST_NAME = 200  # bytes; file systems allow 255, including the suffix of a temporary file
 RANGES = {  # sRGB-coded; what is beyond was saved with another white, or as -1 to 1
     True: (-3.0, 7.0),  # EXR: renderings keep colours far out, and 7 is 95 times white in linear light
@@ -213,7 +211,8 @@ def write_image(path: str | Path, image: Image, *, bits: int = 8) -> int:
 
 
 def picture_names(names: Sequence[str]) -> tuple[str, ...]:
-    """Return the file name of each frame's image, NAME.png, with an underscore for every slash in the name.
+    """Return the file name of each frame's image, NAME.png, with an underscore for every slash and other mark in
+    it that a system does not allow in file names.
 
     Raises
     ------
@@ -225,7 +224,7 @@ def picture_names(names: Sequence[str]) -> tuple[str, ...]:
     >>> picture_names(["smile/0001", "neutral"])
     ('smile_0001.png', 'neutral.png')
     """
-    files = tuple(f"{FOLDER_MARKS.sub('_', name)}.png" for name in names)
+    files = tuple(f"{UNFIT.sub('_', name.replace('/', '_'))}.png" for name in names)
     for name, file in zip(names, files, strict=True):
         if not name.strip(". ") or len(file.encode()) > LONGEST_NAME or "\0" in name:
             raise BadInput(

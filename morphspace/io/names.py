@@ -14,7 +14,8 @@ from pathlib import Path
 from morphspace.errors import BadInput, UnreadableFile
 
 CONTROL = re.compile(r"[\x00-\x1f\x7f-\x9f\u2028\u2029]")  # line ends and escape characters
-FORMULA = re.compile(r"[=+@]|-(?![\d.])")  # a spreadsheet computes a cell that begins so
+UNFIT = re.compile(r'[\x00-\x1f\x7f\\:*?"<>|]')  # characters that Linux, macOS or Windows forbid in names
+FORMULA = re.compile(r"[=@\t\r]|[+-](?![\d.]|$)")  # a spreadsheet computes a cell that begins so
 ANNEX = ".git/annex/objects"
 
 

@@ -10,7 +10,6 @@ from __future__ import annotations
 import csv
 import io
 import re
-import unicodedata
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -22,6 +21,7 @@ from annotated_types import Ge
 from morphspace.arrays import LoadingTable
 from morphspace.documents import Document, FrameRate, Open, OrNull
 from morphspace.errors import BadInput
+from morphspace.io.names import FORMULA, composed
 from morphspace.io.texts import COMMA_NUMBER, DATE, Table, number_remedy, read_table
 from morphspace.storage import json_text, write_text
 
@@ -95,7 +95,8 @@ def write_loadings_table(
     Raises
     ------
     BadInput
-        If the suffix is another, shapes disagree, a name is repeated or a value is not finite.
+        If the suffix is another, shapes disagree, a name is repeated or begins as a formula, or a value is not
+        finite.
     UnwritableFile
         If the folder or disk refuses a file.
     """
@@ -108,6 +109,10 @@ def write_loadings_table(
             "per frame name. Supply one name per frame"
         )
     _check_names(path, names)
+    for name in filter(FORMULA.match, names):
+        raise BadInput(
+            f"cannot write {path}: frame {name!r} begins with {name[0]!r}, which spreadsheets compute. Rename it"
+        )
     if not np.isfinite(loadings).all():
         row, column = np.argwhere(~np.isfinite(loadings))[0]
         raise BadInput(
@@ -141,7 +146,7 @@ def read_loadings_table(path: str | Path) -> LoadingsTable:
     path = _csv_path(path)
     table = read_table(path)
     components = _check_headings(path, table.headings)
-    names = [unicodedata.normalize("NFC", row[0]) for row in table.rows]
+    names = [composed(row[0]) for row in table.rows]
     _check_names(path, names)
     values = [
         [
@@ -164,6 +169,8 @@ def read_loadings_table(path: str | Path) -> LoadingsTable:
 
 def write_metrics_table(path: str | Path, columns: Mapping[str, Sequence[Any]]) -> None:
     """Write columns of texts or numbers as CSV. None and NaN become empty cells.
+
+    A text that begins as a formula is written after an apostrophe, so that no spreadsheet computes it.
 
     Parameters
     ----------
@@ -292,4 +299,5 @@ def _cell(value: Any) -> str:
         return ""
     if isinstance(value, float | np.floating):
         return repr(float(value))
-    return str(value)
+    text = str(value)
+    return f"'{text}" if FORMULA.match(text) else text

@@ -19,6 +19,7 @@ from morphspace.grid.warp import apply_affine, inverse_affine
 from morphspace.io.clips import Clip
 from morphspace.io.framing import FramedClip, Framing
 from morphspace.io.images import read_mask
+from morphspace.io.names import composed
 from morphspace.io.sidecars import MarkedFaceframe
 from morphspace.model.passes import COMPONENTS, Build, BuildSettings, build_steps
 from morphspace.outcome import versions
@@ -211,6 +212,7 @@ def _mask(
 
 def _index_of(reference: str, clip: Clip) -> int:
     """Find a frame by name, with or without folder and suffix."""
+    reference = composed(reference)
     for wanted in (reference, Path(reference).name, Path(reference).stem):
         if wanted in clip.frame_names:
             return clip.frame_names.index(wanted)

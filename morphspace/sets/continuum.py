@@ -17,6 +17,7 @@ from morphspace.arrays import AnyArray, LoadingVector
 from morphspace.avatar.pair import pair_model
 from morphspace.errors import BadInput
 from morphspace.flow.names import DEFAULT
+from morphspace.io.names import composed
 from morphspace.io.tables import read_loadings_table
 from morphspace.model.encode import STRANGE, encoded_frames, energy_outside, framed_for
 from morphspace.model.model import MorphModel, load_model
@@ -121,6 +122,7 @@ def _of_row(model: MorphModel, path: Path, frame: str) -> tuple[LoadingVector, s
     """Return the loadings (k,) of a table row, the digest of the table, and notes."""
     table = read_loadings_table(path)
     notes = check_table(model, table, path)
+    frame = composed(frame)
     if frame not in table.frame_names:
         listed = ", ".join(table.frame_names[:LISTED])
         raise BadInput(

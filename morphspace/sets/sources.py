@@ -14,13 +14,13 @@ from morphspace.avatar.build import told_together
 from morphspace.errors import BadInput
 from morphspace.io.clips import Clip
 from morphspace.io.framing import FramedClip
+from morphspace.io.names import UNFIT
 from morphspace.io.tables import read_loadings_table
 from morphspace.model.encode import framed_for, notes_on_enlarging
 from morphspace.model.model import MorphModel
 from morphspace.sets.kept import digest_of_kept, encoded_clip
 from morphspace.sets.planned import KEPT_STEMS
 from morphspace.steps import Steps
-from morphspace.stimuli.drawing import UNFIT
 from morphspace.stimuli.table_checks import check_table
 
 FRAME_RATE_HZ = 25.0  # Hz; used if neither request, table nor model has a frame rate

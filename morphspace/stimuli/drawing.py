@@ -16,13 +16,13 @@ import numpy as np
 
 from morphspace.arrays import AnyArray, LoadingTable, Mask
 from morphspace.errors import BadInput
+from morphspace.io.names import FORMULA, UNFIT
 from morphspace.io.stimulus_sidecars import DrawingDocument, PlacingDocument
 from morphspace.requests import VIDEO_SUFFIXES
 
 FURTHEST_SD = 1000.0  # SD; larger values are errors, and colours overflow
 PICTURE_SUFFIXES = (".png",)
 LONGEST_PART_BYTES = 200  # of a name's part; file systems take 255, and an unfinished file has a longer name
-UNFIT = re.compile(r'[\x00-\x1f\x7f\\:*?"<>|]')  # characters that Linux, macOS or Windows forbid in names
 RESERVED = re.compile(
     r"(con|prn|aux|nul|com[0-9]|lpt[0-9])(\..*)?", re.IGNORECASE
 )  # names that Windows reserves
@@ -238,6 +238,10 @@ def check_name(name: str) -> None:
             raise BadInput(
                 f"a stimulus is called {name!r:.80}: a part of its name is empty, or begins or ends with a dot or "
                 "a space; rename it"
+            )
+        if FORMULA.match(part):
+            raise BadInput(
+                f"a stimulus is called {name!r:.80}: a cell that begins with {part[0]!r} is computed; rename it"
             )
         if wrong or RESERVED.fullmatch(part):
             which = repr(wrong.group()) if wrong else repr(part)

@@ -488,3 +488,57 @@ def test_an_empty_path_is_never_the_current_folder():
     for field in paths:
         with pytest.raises(WrongSetting, match="is empty; expected a path"):
             converted(field, "")
+
+
+def test_output_in_a_legacy_code_page_has_other_characters_replaced(actor: Path, tmp_path: Path) -> None:
+    folder = tmp_path / "clip"
+    folder.mkdir()
+    for number, path in enumerate(sorted(actor.glob("*.png"))):
+        (folder / f"\u017aba_{number}.png").write_bytes(path.read_bytes())
+    for encoding in ("cp1252", "cp437"):
+        words = ["build-model", folder, "-o", tmp_path / "m.morph", "--landmarks", "none", *FAST]
+        result = subprocess.run(
+            [sys.executable, "-c", "from morphspace.cli.main import main; main()", *map(str, words)],
+            env={**os.environ, "PYTHONIOENCODING": encoding},
+            capture_output=True,
+        )
+        assert result.returncode == 0, result.stderr
+        assert b"Traceback" not in result.stderr
+        assert re.search(rb"reference \?ba_\d:", result.stdout)
+
+
+def test_pictures_that_were_passed_over_are_said(actor: Path, tmp_path: Path) -> None:
+    for path in actor.glob("*.png"):
+        (tmp_path / path.name).write_bytes(path.read_bytes())
+    for number in range(6):
+        (tmp_path / f"IMG_{number}.HEIC").write_bytes(b"\0\0\0\x18ftypheic")
+    built = run("build-model", tmp_path, "-o", tmp_path / "m.morph", "--landmarks", "none", *FAST)
+    encoded = run("encode", tmp_path / "m.morph", tmp_path, "-o", tmp_path / "t.csv")
+    for result in (built, encoded):
+        assert result.exit_code == 0, result.output
+        assert "note: 6 .HEIC pictures were passed over" in result.stderr
+
+
+def test_no_message_moves_the_cursor_of_a_terminal(tmp_path: Path) -> None:
+    (tmp_path / "t.csv").write_text("frame,\x1b[2Jpc\nx,1\n")
+    (tmp_path / "clip\x1b[2J").mkdir()
+    for words in (
+        ("render", "gone\x1b[2J\x9b.morph", "t.csv", "-o", tmp_path / "out"),
+        ("build-model", tmp_path / "clip\x1b[2J"),
+    ):
+        result = run(*words)
+        refused(result)
+        assert result.stderr.strip().isprintable()
+
+
+def test_a_frame_name_is_found_whichever_way_its_accent_is_written(
+    actor: Path, model: Path, tmp_path: Path
+) -> None:
+    for number, path in enumerate(sorted(actor.glob("*.png"))[:2]):
+        (tmp_path / f"a\u0301{number}.png").write_bytes(path.read_bytes())
+    assert run("encode", model, f"{tmp_path}/*.png", "-o", tmp_path / "t.csv").exit_code == 0
+    for name in ("a\u03011", "\u00e11"):
+        result = run(
+            "caricature", model, "--loadings", tmp_path / "t.csv", "--frame", name, "-o", tmp_path / name
+        )
+        assert result.exit_code == 0, result.output

@@ -37,6 +37,11 @@ def test_loadings_come_back_bit_for_bit(tmp_path_factory, loadings):
     assert table.loadings_sd.tobytes() == loadings.tobytes()
 
 
+def test_names_of_a_table_are_composed(tmp_path):
+    (tmp_path / "t.csv").write_text("frame,pc001_sd\na\u0301,1\n", encoding="utf-8")
+    assert read_loadings_table(tmp_path / "t.csv").frame_names == ("\u00e1",)
+
+
 @pytest.mark.parametrize("name", ["a,b", 'say "a"', "two\nlines", "ä 笑", "0001", " x "])
 def test_any_frame_name_survives(tmp_path, name):
     write_loadings_table(tmp_path / "t.csv", np.ones((1, 2)), [name], {})
@@ -210,6 +215,21 @@ def test_measures_come_back_by_kind(tmp_path):
     assert table["folds_percent"] == [0.5, 1.0]
     assert table["method"] == ["map", "paper"]
     assert table["note"] == ["", ""]
+
+
+@pytest.mark.parametrize("text", ["=1+1", "@sum", "+cmd|' /C calc'!A0", "-cmd", "\tx"])
+def test_no_cell_begins_as_a_formula(tmp_path, text):
+    write_metrics_table(tmp_path / "m.csv", {"name": ["a"], "consent": [text], "amount_sd": [-2.5]})
+    table = read_metrics_table(tmp_path / "m.csv")
+    assert table == {"name": ["a"], "consent": [f"'{text}"], "amount_sd": [-2.5]}
+    with pytest.raises(BadInput, match=r"t\.csv: frame .* begins with .*Rename it"):
+        write_loadings_table(tmp_path / "t.csv", np.zeros((1, 1)), [text], {})
+
+
+@pytest.mark.parametrize("text", ["-3", "-.5", "+2sd", "-", "a=b", "3-4"])
+def test_texts_of_numbers_and_signs_inside_are_written_as_they_are(tmp_path, text):
+    write_metrics_table(tmp_path / "m.csv", {"frame": [text]})
+    assert read_metrics_table(tmp_path / "m.csv") == {"frame": [text]}
 
 
 def test_columns_of_different_length_are_refused(tmp_path):

@@ -142,3 +142,19 @@ def test_a_comma_between_numbers_is_refused_in_a_recipe(written):
         request_from(DrawRequest, given, output=Path("out"))
     assert caught.value.name == "gains"
     assert request_from(DrawRequest, {"model": "a", "gains": "1.5;2"}, output=Path("out")).gains == (1.5, 2.0)
+
+
+@pytest.mark.parametrize("given", ["M\udcfcller", Path("M\udcfcller"), ["a", "M\udcfcller"]])
+def test_a_name_that_is_not_utf8_is_refused_in_one_printable_line(given):
+    for name, kind in (("model", Path), ("clip", tuple[str, ...])):
+        field = field_of(name, kind)
+        with pytest.raises(
+            WrongSetting, match=rf"{name} is .*udcfcller.*; expected UTF-8. Rename the file"
+        ) as caught:
+            converted(field, given)
+        assert str(caught.value).isprintable()
+
+
+def test_texts_are_composed_but_not_the_names_of_files():
+    assert converted(field_of("frame", str), "a\u0301") == "\u00e1"
+    assert converted(field_of("model", Path), "a\u0301") == Path("a\u0301")
