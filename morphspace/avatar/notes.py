@@ -20,9 +20,9 @@ CORNERS = ((RIGHT_IRIS[0], RIGHT_LIDS[0], RIGHT_LIDS[8]), (LEFT_IRIS[0], LEFT_LI
 
 
 def notes_on(studio: Studio, expressions: Sequence[Expression], sharp_share: float) -> tuple[str, ...]:
-    """Write one line for each thing to know; `sharp_share` is the model's sharpness over the wanted one."""
+    """Write one line for each note; `sharp_share` is the model's sharpness over the wanted one."""
     return (
-        *_who(studio),
+        *_takes_part(studio),
         *_left_out(studio, expressions),
         *_without_landmarks(studio),
         *_gaze(studio),
@@ -30,24 +30,24 @@ def notes_on(studio: Studio, expressions: Sequence[Expression], sharp_share: flo
     )
 
 
-def _who(studio: Studio) -> list[str]:
+def _takes_part(studio: Studio) -> list[str]:
     notes = []
     idle = [studio.labels[i] for i in range(len(studio.models)) if i not in studio.part]
     if idle:
-        notes.append(f"{', '.join(idle)}: weight 0, so neither face nor expressions take part")
+        notes.append(f"the weight of {', '.join(idle)} is 0: neither face nor expressions are used")
     names = [model.identity for model in studio.models]
     for name in dict.fromkeys(name for name in names if names.count(name) > 1):
         notes.append(
-            f"{names.count(name)} of the models are of {name}: that identity counts so many times; leave out what "
-            "repeats"
+            f"{names.count(name)} of the models are of {name}, which therefore counts {names.count(name)} times. Leave "
+            "out repeated models"
         )
     own = studio.settings.provenance.get("identity")
     if own in names:
         notes.append(
-            f"the avatar is called {own}, as one of its sources is: --identity gives it a name of its own"
+            f"the avatar is named {own}, like one of its sources. Give it another name with --identity"
         )
     if studio.settings.faceframe != SOURCE and len(studio.part) == 1:
-        notes.append("only one identity has any weight: the avatar is that person")
+        notes.append("only one identity has a weight above 0: the avatar is that person")
     return notes
 
 
@@ -59,7 +59,7 @@ def _left_out(studio: Studio, expressions: Sequence[Expression]) -> list[str]:
             shown = ", ".join(one.name for one in out[:3])
             notes.append(
                 f"{studio.labels[given]} is left out of {len(out)} of {len(expressions)} expressions that it cannot "
-                f"show ({shown}{', ...' if len(out) > 3 else ''}): there it enters with its mean face only"
+                f"show ({shown}{', ...' if len(out) > 3 else ''}): there only its mean face is used"
             )
     return notes
 
@@ -69,8 +69,8 @@ def _without_landmarks(studio: Studio) -> list[str]:
     if studio.settings.correspondence == REST or len(studio.part) < 2 or not without:
         return []
     return [
-        f"{', '.join(without)} {'lack' if len(without) > 1 else 'lacks'} mesh points or landmarks, so mouths are "
-        "matched there as at rest: look for them with `morphspace keypoints --auto`, or say --correspondence rest"
+        f"{', '.join(without)} {'lack' if len(without) > 1 else 'lacks'} mesh points or landmarks, so their mouths "
+        "are matched by the mean faces alone. Run `morphspace keypoints MODEL --auto`, or give --correspondence rest"
     ]
 
 
@@ -88,7 +88,7 @@ def _gaze(studio: Studio) -> list[str]:
         return []
     return [
         f"the mean faces of {least} and {most} look in different directions: their irises are {apart:.2f} of an eye's "
-        "width apart; look at the eyes of the blend"
+        "width apart. Check the eyes of the blend"
     ]
 
 
@@ -110,9 +110,9 @@ def _sharpness(share: float, asked: float | None) -> list[str]:
     low, high = SHARP_ENOUGH
     if low <= share <= high:
         return []
-    told = f"the avatar is {share:.0%} as sharp as its sources, and {low:.0%} to {high:.0%} would pass for as sharp"
+    figure = f"the avatar is {share:.0%} as sharp as its sources; expected {low:.0%} to {high:.0%}"
     if asked is not None:
-        return [f"{told}: --sharpen auto chooses the amount by that"]
+        return [f"{figure}. --sharpen auto chooses the amount for that"]
     if share < low:
-        return [f"{told}: more than {MOST_SHARPEN:g} times the detail would ring at edges"]
-    return [f"{told}: nothing was sharpened beyond what the blend needs; look at the page"]
+        return [f"{figure}. A stronger mask than {MOST_SHARPEN:g} would draw rings around edges"]
+    return [f"{figure}. Without sharpening it is no softer. Check the pictures on the page"]

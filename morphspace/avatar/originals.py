@@ -70,7 +70,8 @@ def check_clips(clips: int, models: int) -> None:
     """Raise `BadInput` if the clips are not one for each model."""
     if clips != models:
         raise BadInput(
-            f"{clips} clips do not fit {models} models: give the clip of each, in the order of the models"
+            f"{clips} clips do not fit {models} models; expected {models}. Give the clip of each, in the order of the "
+            "models"
         )
 
 
@@ -82,14 +83,14 @@ def _checked(model: MorphModel, clip: Clip) -> Originals:
     for name in model.training.frame_names:
         if name not in known:
             raise BadInput(
-                f"the model of {model.identity} was built from a frame {name}, which the clip of {len(clip.names)} "
-                f"frames from {clip.names[0]} does not hold: give the clip it was built from"
+                f"the clip of {len(clip.names)} frames from {clip.names[0]} has no frame {name}, from which the model "
+                f"of {model.identity} was built. Give the clip it was built from"
             )
         place, digest = known[name]
         if digest != inputs.get(name):
             raise BadInput(
                 f"frame {name} of the clip (SHA-256 {digest[:12]}...) is not the one the model of {model.identity} was "
-                f"built from ({str(inputs.get(name))[:12]}...): give the clip it was built from"
+                f"built from ({str(inputs.get(name))[:12]}...). Give the clip it was built from"
             )
         places.append(place)
     return Originals(model, clip, tuple(places))

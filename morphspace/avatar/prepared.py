@@ -182,6 +182,6 @@ def _place(
     given = identity_at(name, labels, role, others)
     if given not in part:
         raise BadInput(
-            f"{role} {name} has the weight 0 and takes no part: choose another, or give it some weight"
+            f"{role} {name} has the weight 0; expected more. Choose another, or give it a weight above 0"
         )
     return list(part).index(given)

@@ -104,29 +104,29 @@ class Expression:
 def check_models(models: Sequence[MorphModel]) -> None:
     """Raise `BadInput` if the models are fewer than two, differ in size, or lack keypoints or components."""
     if len(models) < 2:
-        raise BadInput(f"{len(models)} model was given: an avatar is blended from at least 2")
+        raise BadInput(f"{len(models)} model was given; expected at least 2 to blend. Give more models")
     first = models[0]
     for model in models:
         required_faceframe(model)
         if model.rank < 1 or len(model.training.values) == 0:
             raise BadInput(
                 f"the model of {model.identity} has {model.rank} components and {len(model.training.values)} training "
-                "frames: build it from more frames"
+                "frames; expected at least 1 of each. Build it from more frames"
             )
         if not _finite(model):
             raise BadInput(
-                f"the model of {model.identity} holds numbers that are not finite among its {model.rank} components or "
-                "in its mean face: build it again"
+                f"the model of {model.identity} has numbers that are not finite in its {model.rank} components or its "
+                "mean face; expected finite numbers. Build it again"
             )
         if model.size != first.size:
             raise SizeMismatch(
                 f"{first.identity} has frames of {first.size[0]}x{first.size[1]}, {model.identity} of "
-                f"{model.size[0]}x{model.size[1]}: build them at one size (build-model --size)"
+                f"{model.size[0]}x{model.size[1]}; expected one size. Build them with one --size"
             )
         if lip_of(model) != lip_of(first):
             raise BadInput(
                 f"the third keypoint of {first.identity} marks the {lip_of(first)}, that of {model.identity} the "
-                f"{lip_of(model)}: set both the same way with `morphspace keypoints`"
+                f"{lip_of(model)}; expected the same point. Set both with `morphspace keypoints`"
             )
 
 
@@ -146,27 +146,33 @@ def shares_of(asked: Sequence[float] | None, count: int) -> AnyArray:
     """Return the weights (count,), sum 1; equal for None. Raises `BadInput` for weights that cannot be used."""
     weights = np.ones(count) if asked is None else np.array(asked, np.float64)
     if weights.shape != (count,):
-        raise BadInput(f"{weights.size} weights do not fit {count} models: give one a model, in their order")
+        raise BadInput(
+            f"{weights.size} weights do not fit {count} models; expected {count}, in their order. Change them"
+        )
     if not np.isfinite(weights).all() or (weights < 0).any():
-        raise BadInput(f"the weights {_told(weights)} are not all finite and at least 0: mend them")
+        raise BadInput(
+            f"the weights are {_listed(weights)}; expected finite numbers of at least 0. Correct them"
+        )
     with np.errstate(over="ignore"):
         total = float(weights.sum())
     if not np.isfinite(total):
-        raise BadInput(f"the weights {_told(weights)} sum to more than a number can hold: give smaller ones")
+        raise BadInput(
+            f"the weights {_listed(weights)} sum to more than a number can hold. Give smaller ones"
+        )
     if total <= 0:
-        raise BadInput(f"the weights {_told(weights)} sum to 0: give at least one identity some weight")
+        raise BadInput(f"the weights {_listed(weights)} sum to 0; expected more. Give one a weight above 0")
     shares: AnyArray = weights / total
     return shares
 
 
-def _told(weights: AnyArray) -> str:
+def _listed(weights: AnyArray) -> str:
     return ",".join(f"{weight:g}" for weight in weights)
 
 
 def identity_at(name: str, labels: Sequence[str], role: str, others: Sequence[str] = ()) -> int:
     """Return the place of an identity by its label. Raises `BadInput`, naming the labels and `others` that exist."""
     if name not in labels:
-        raise BadInput(f"{role} {name!r} is none of the identities: choose {', '.join((*others, *labels))}")
+        raise BadInput(f"{role} is {name!r}; expected one of {', '.join((*others, *labels))}. Choose one")
     return list(labels).index(name)
 
 

@@ -23,9 +23,7 @@ from morphspace.storage import digest_of_file
 from morphspace.transfer.mimicry import Method, mimic
 from morphspace.transfer.projection import Projection
 
-METHOD: Method = (
-    "map"  # the most probable face of the stimulus: of all ways the closest to it, and it needs no points
-)
+METHOD: Method = "map"  # the most probable face; the closest to known imitations, and it needs no landmarks
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,17 +66,19 @@ def imitator_of(path: Path, stimulus: MorphModel, share: Mask | None) -> Imitato
     model = load_model(path)
     if model.model_id == stimulus.model_id:
         raise BadInput(
-            f"--imitator {path} is the model of the stimulus itself: leave it out where a person imitates themselves, "
-            "or give the model of who imitates"
+            f"--imitator {path} is the model of the stimulus itself; expected that of another person. Leave it out if "
+            "a person imitates themselves, or give the imitator's model"
         )
     for role, used in (("--model", stimulus), ("--imitator", model)):
         if used.faceframe is None:
             raise BadInput(
-                f"{role} {used.identity} has no keypoints, which carry one face to the other: set them with "
+                f"{role} {used.identity} has no keypoints; expected three, which align the two faces. Set them with "
                 "`morphspace keypoints MODEL --auto`, or with --set or --from"
             )
         if used.rank == 0:
-            raise BadInput(f"{role} {used.identity} has no component: build it from more frames")
+            raise BadInput(
+                f"{role} {used.identity} has 0 components; expected at least 1. Build it from more frames"
+            )
     return Imitator(model, path, digest_of_file(path), _carry(model, stimulus, share))
 
 

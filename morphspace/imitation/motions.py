@@ -87,8 +87,8 @@ def share_of(model: MorphModel, mask: Path | None, region: str) -> Mask | None:
     share = read_mask(mask)
     if share.shape != model.mask.shape:
         raise BadInput(
-            f"the mask {mask} is {share.shape[1]}x{share.shape[0]}, the model's frames are "
-            f"{model.size[0]}x{model.size[1]}: draw it on the mean face at that size"
+            f"the mask {mask} is {share.shape[1]}x{share.shape[0]}; expected {model.size[0]}x{model.size[1]}, the size "
+            "of the model's frames. Draw it on the mean face"
         )
     return share
 
@@ -136,10 +136,10 @@ def opened(
         source = Motion(clip.clip.name, clip.names, unknown, rate_hz, clip, read_in.rank, places, inputs)
     if len(source.frame_names) < LEAST_FRAMES:
         raise BadInput(
-            f"the {role} {given} has {len(source.frame_names)} frame(s), at least {LEAST_FRAMES} are needed to compare "
-            "motions: give more frames"
+            f"the {role} {given} has {len(source.frame_names)} frame(s); expected at least {LEAST_FRAMES} to compare "
+            "motions. Give more frames"
         )
-    # Whatever an imitator's table knows, all of the stimulus' components answer to it.
+    # The transfer gives all of the stimulus' components, however many the imitator's table has.
     return replace(source, components=model.rank, imitator=imitator) if imitator else source
 
 
@@ -155,7 +155,8 @@ def _table(path: Path, model: MorphModel, stimulus: MorphModel, notes: list[str]
         raise ReferenceMismatch(_other_table(path, named, model, stimulus))
     if columns > model.rank:
         raise BadInput(
-            f"{path} has {columns} components, {model.identity} has {model.rank}: encode with this model"
+            f"{path} has {columns} components; expected at most {model.rank}, those of {model.identity}. Encode the "
+            "clip with this model"
         )
     if columns < model.rank:
         rest = "the others count as 0" if model is not stimulus else "the others are not measured"
@@ -192,13 +193,19 @@ def name_of_table(path: Path, document: LoadingsDocument | None) -> str:
 def _other_table(path: Path, named: object, model: MorphModel, stimulus: MorphModel) -> str:
     if model is stimulus:
         return (
-            f"{path} belongs to model {named}, --model is {model.model_id} ({model.identity}): give its clip instead, "
-            "encode it with this model, measure in the other model's space, or, where it is the imitation, give its "
-            "model with --imitator"
+            f"{path} belongs to model {named}; expected {model.model_id} ({model.identity}), that of --model. Give its "
+            "clip instead, or measure in the other model's space. If it is the imitation of another person, give that "
+            "person's model with --imitator"
         )
     if named == stimulus.model_id:
-        return f"{path} is in the space of the stimulus already, the model of {stimulus.identity}: leave out --imitator"
-    return f"{path} belongs to model {named}, --imitator is {model.model_id} ({model.identity}): give its own model"
+        return (
+            f"{path} belongs to the model of the stimulus, {stimulus.identity}; expected that of --imitator. Leave out "
+            "--imitator"
+        )
+    return (
+        f"{path} belongs to model {named}; expected {model.model_id} ({model.identity}), that of --imitator. Give the "
+        "table's own model"
+    )
 
 
 def measured(source: Motion, model: MorphModel, part: Posterior | None) -> Steps[Motion]:
@@ -262,29 +269,29 @@ def at_rate_of(stimulus: Motion, imitation: Motion, notes: list[str]) -> Motion:
         places = np.round(np.arange(len(loadings)) / rate_hz * imitation.rate_hz).astype(np.intp)
         places = np.minimum(places, len(imitation.places) - 1)
         notes.append(
-            f"the stimulus runs at {rate_hz:g} Hz, the imitation at {imitation.rate_hz:g} Hz: the imitation was "
-            f"brought to {rate_hz:g} Hz, linear between frames, {len(imitation.places)} frames becoming {len(loadings)}"
+            f"the stimulus has {rate_hz:g} Hz, the imitation {imitation.rate_hz:g} Hz: the imitation was resampled "
+            f"linearly to {rate_hz:g} Hz, from {len(imitation.places)} to {len(loadings)} frames"
         )
         if len(loadings) < LEAST_FRAMES:
             raise BadInput(
-                f"the imitation has {len(loadings)} frame(s) at the stimulus' {rate_hz:g} Hz, at least {LEAST_FRAMES} "
-                "are needed: give a longer imitation"
+                f"the imitation has {len(loadings)} frame(s) at the stimulus' {rate_hz:g} Hz; expected at least "
+                f"{LEAST_FRAMES}. Give a longer imitation"
             )
         names = tuple(f"{imitation.name}_{index:06d}" for index in range(len(loadings)))
         imitation = replace(
             imitation, frame_names=names, loadings_sd=loadings, rate_hz=rate_hz, places=places
         )
     elif (stimulus.rate_hz is None) != (imitation.rate_hz is None):
-        told = "stimulus" if stimulus.rate_hz else "imitation"
+        known = "stimulus" if stimulus.rate_hz else "imitation"
         notes.append(
-            f"only the {told} tells its frame rate, {stimulus.rate_hz or imitation.rate_hz:g} Hz: the other is taken "
-            "to have the same; write frame_rate_hz into its clip.json if not"
+            f"only the {known} has a frame rate, {stimulus.rate_hz or imitation.rate_hz:g} Hz; the same is assumed for "
+            "the other. If that is wrong, write frame_rate_hz into its clip.json"
         )
     n, m = len(stimulus.loadings_sd), len(imitation.loadings_sd)
     if n != m:
         notes.append(
-            f"the stimulus has {n} frames, the imitation {m}: correlation, distance, gain, information and entropy are "
-            f"of the first {min(n, m)} of each; lag and alignment use all"
+            f"the stimulus has {n} frames, the imitation {m}: correlation, distance, gain, information and entropy use "
+            f"the first {min(n, m)} of each; lag and alignment use all"
         )
     return imitation
 
@@ -326,16 +333,16 @@ def look_for_faces(
         return FacesSeen(
             None,
             (
-                f"whether the frames of the {role} {source.name} show a face was not looked at: that needs the "
-                "networks (morphspace models fetch)",
+                f"the frames of the {role} {source.name} were not searched for faces, which needs the networks. Run "
+                "`morphspace models fetch`",
             ),
         )
     if detector(np.clip(mean, 0, 1)) is None:
         return FacesSeen(
             None,
             (
-                f"the detector sees no face in the mean of {identity}: the frames of the {role} {source.name} were not "
-                "looked at for faces",
+                f"the detector finds no face in the mean of {identity}, so the frames of the {role} {source.name} were "
+                "not searched for faces",
             ),
         )
     total = len(source.frame_names)
@@ -355,6 +362,6 @@ def _faceless_words(role: str, name: str, missing: Sequence[str], total: int) ->
         return ()
     which = "" if len(missing) == total else f" (the first is {missing[0]})"
     return (
-        f"{len(missing)} of {total} frames of the {role} {name} show no face to the detector{which}: what was measured "
-        "of them means nothing; measures.json names them, frames_without_face",
+        f"the detector finds no face in {len(missing)} of {total} frames of the {role} {name}{which}: their measures "
+        "are not meaningful. measures.json lists them under frames_without_face",
     )

@@ -202,12 +202,10 @@ def still_words(stimulus_sd: LoadingTable, imitation_sd: LoadingTable) -> tuple[
         return ()
     n = min(len(stimulus_sd), len(imitation_sd))
     apart = float(np.sqrt(((stimulus_sd[:n] - imitation_sd[:n]) ** 2).sum(axis=1).mean()))
-    who = (
+    what = (
         f"the {names[0]} does not move" if len(names) == 1 else "neither the stimulus nor the imitation moves"
     )
-    return (
-        f"{who}: there is no correlation, gain, lag or alignment to measure; the distance is {apart:.2f} SD",
-    )
+    return (f"{what}: correlation, gain, lag and alignment are undefined; the distance is {apart:.2f} SD",)
 
 
 def still_components_words(stimulus_sd: LoadingTable, imitation_sd: LoadingTable) -> list[str]:
@@ -217,8 +215,8 @@ def still_components_words(stimulus_sd: LoadingTable, imitation_sd: LoadingTable
         if 0 < len(names) < stimulus_sd.shape[1]:
             some = ", ".join(names[:NAMED]) + (" ..." if len(names) > NAMED else "")
             words.append(
-                f"{len(names)} of {stimulus_sd.shape[1]} components of the {role} do not move ({some}): what is "
-                "undefined for them is empty, and the column undefined says why"
+                f"{len(names)} of {stimulus_sd.shape[1]} components of the {role} do not move ({some}): their "
+                "undefined measures are empty, and the column `undefined` gives the reason"
             )
     return words
 

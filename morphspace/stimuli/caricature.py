@@ -145,7 +145,7 @@ def caricature_region(region: str | None, model: MorphModel) -> tuple[Mask | Non
     mask = read_mask(path)
     if mask.shape != model.mask.shape:
         raise BadInput(
-            f"the region {region} is {mask.shape[1]}x{mask.shape[0]}, the frames of {model.identity} are "
-            f"{model.size[0]}x{model.size[1]}: paint it on a rendered mean face"
+            f"the region {region} is {mask.shape[1]}x{mask.shape[0]}; expected {model.size[0]}x{model.size[1]}, the "
+            f"frames of {model.identity}. Paint it on a rendered mean face"
         )
     return mask, {"region": digest_of_file(path)}

@@ -46,7 +46,9 @@ def morphs_and_images(
     mask = mask_of(model, drawing)
     count = len(drawing.loadings_sd)
     if drawing.placing is not None and originals is None:
-        raise BadInput(f"{drawing.name} goes back into its original frames: give these pictures")
+        raise BadInput(
+            f"{drawing.name} has no original frames; expected those into which it is placed. Give them"
+        )
 
     def frame(item: tuple[int, Image | None]) -> tuple[Morph, Image]:
         row, original = item
@@ -71,8 +73,8 @@ def mask_of(model: MorphModel, drawing: Drawing) -> Mask | None:
     mask = region_of(model, drawing.region) if drawing.region_mask is None else drawing.region_mask
     if mask.shape != model.mask.shape:
         raise BadInput(
-            f"the region {drawing.region} is {mask.shape[1]}x{mask.shape[0]}, the model's frames are "
-            f"{model.size[0]}x{model.size[1]}: paint it on a rendered mean face"
+            f"the region {drawing.region} is {mask.shape[1]}x{mask.shape[0]}; expected {model.size[0]}x"
+            f"{model.size[1]}, the size of the model's frames. Paint it on a rendered mean face"
         )
     return mask
 
@@ -103,7 +105,7 @@ def _morph(model: MorphModel, shape_sd: LoadingVector, colour_sd: LoadingVector 
 def _loadings(model: MorphModel, values_sd: LoadingVector) -> LoadingVector:
     if len(values_sd) > model.rank:
         raise BadInput(
-            f"{len(values_sd)} loadings do not fit {model.identity}, which has {model.rank} components: draw with the "
-            "model they belong to"
+            f"the drawing has {len(values_sd)} loadings; expected at most {model.rank}, the components of "
+            f"{model.identity}. Draw with the model they belong to"
         )
     return values_sd * model.sd[: len(values_sd)]

@@ -104,7 +104,8 @@ def _rate(motion: Motion, numbers: tuple[float, ...], setting: Setting) -> Motio
         raise BadInput(f"the frame rate is {rate_hz:g} Hz; expected above 0, at most 1000. Change it")
     if motion.duration_s * rate_hz < 2:
         raise BadInput(
-            f"{motion.name} lasts {motion.duration_s:g} s, less than 2 frames at {rate_hz:g} Hz: give a higher rate"
+            f"{motion.name} lasts {motion.duration_s:g} s; expected at least 2 frames at {rate_hz:g} Hz. Give a higher "
+            "rate"
         )
     loadings = timing.retimed(motion.loadings_sd, motion.rate_hz / rate_hz, motion.ends)
     return replace(motion, loadings_sd=loadings, rate_hz=rate_hz)
@@ -116,8 +117,8 @@ def _part(motion: Motion, numbers: tuple[float, ...], setting: Setting) -> Motio
     inside = (times >= start - 1e-9) & (times < stop - 1e-9)
     if inside.sum() < 2:
         raise BadInput(
-            f"from {start:g} s to {stop:g} s of {motion.name}, which lasts {motion.duration_s:g} s, there are "
-            f"{int(inside.sum())} frames: give a longer part"
+            f"the part from {start:g} s to {stop:g} s of {motion.name}, which lasts {motion.duration_s:g} s, has "
+            f"{int(inside.sum())} frames; expected at least 2. Give a longer part"
         )
     return replace(motion, loadings_sd=motion.loadings_sd[inside], ends="open")
 
@@ -126,7 +127,7 @@ def _timing(motion: Motion, numbers: tuple[float, ...], setting: Setting) -> Mot
     guide = setting.guide
     if guide is None:
         raise BadInput(
-            "timing takes the timing of another motion: give that table as the guide (--guide TABLE.csv)"
+            "the operation has no guide; expected the motion whose timing is taken. Give its table with --guide"
         )
     timing.check_same_components(motion.loadings_sd, guide.loadings_sd)
     loadings = timing.timed_like(motion.loadings_sd, guide.loadings_sd, setting.weights)
@@ -156,8 +157,9 @@ def _scramble_blocks(motion: Motion, numbers: tuple[float, ...], setting: Settin
     frames = _frames(numbers[0], motion.rate_hz, "scramble-blocks")
     if not 1 <= frames < len(motion.loadings_sd):
         raise BadInput(
-            f"blocks of {numbers[0]:g} s are {frames} of the {len(motion.loadings_sd)} frames of {motion.name}: give "
-            f"{1 / motion.rate_hz:g} s to {(len(motion.loadings_sd) - 1) / motion.rate_hz:g} s"
+            f"blocks of {numbers[0]:g} s are {frames} of the {len(motion.loadings_sd)} frames of {motion.name}; "
+            f"expected 1 to {len(motion.loadings_sd) - 1}. Give {1 / motion.rate_hz:g} s to "
+            f"{(len(motion.loadings_sd) - 1) / motion.rate_hz:g} s"
         )
     return _changed(motion, trajectory.scrambled_blocks(motion.loadings_sd, frames, setting.rng), "open")
 
@@ -188,8 +190,8 @@ def _caricature(motions: Sequence[Motion], numbers: tuple[float, ...], setting: 
         timing.check_same_components(motions[0].loadings_sd, mean)
     else:
         raise BadInput(
-            "caricature exaggerates how motions differ from their mean trajectory: give at least 2 tables, or a mean "
-            "trajectory as the guide (--guide TABLE.csv); `morphspace caricature` does it about the mean face"
+            "there is one motion and no guide; expected at least 2 tables, or a mean trajectory as the guide. "
+            "Give more tables or --guide; `morphspace caricature` exaggerates about the mean face"
         )
     return [
         _changed(
@@ -244,8 +246,8 @@ def _operation(word: str, value: Any) -> Operation:
     kind = WORDS.get(word)
     if kind is None:
         near = difflib.get_close_matches(word, WORDS, 1, 0.5)
-        hint = f"did you mean {WORDS[near[0]].form(near[0])}?" if near else f"choose from {', '.join(WORDS)}"
-        raise BadInput(f"{word!r} is not an operation on a trajectory: {hint}")
+        hint = f"Did you mean {WORDS[near[0]].form(near[0])}?" if near else "Choose one"
+        raise BadInput(f"the operation is {word!r}; expected one of {', '.join(WORDS)}. {hint}")
     if value is None or value == "":
         parts: list[Any] = []
     elif isinstance(value, list | tuple):
@@ -255,14 +257,14 @@ def _operation(word: str, value: Any) -> Operation:
     numbers = tuple(_number(part, word, kind) for part in parts)
     wanted = {"nothing": (0,), "number": (1,), "number or nothing": (0, 1), "span": (2,)}[kind.takes]
     if len(numbers) not in wanted:
-        raise BadInput(f"{word} is given {len(numbers) or 'no'} numbers: write {kind.form(word)}")
+        raise BadInput(f"{word} has {len(numbers) or 'no'} numbers; expected {kind.form(word)}. Write it so")
     return Operation(word, numbers)
 
 
 def _number(part: Any, word: str, kind: Word) -> float:
     text = str(part).strip()
     if isinstance(part, bool) or not NUMBER.fullmatch(text) or not np.isfinite(float(text)):
-        raise BadInput(f"{word} is given {text!r}, which is no number: write {kind.form(word)}")
+        raise BadInput(f"{word} has {text!r}; expected a number. Write {kind.form(word)}")
     return float(text)
 
 
@@ -326,7 +328,9 @@ def _changed(motion: Motion, loadings_sd: LoadingTable, ends: Ends | None = None
 
 def _frames(seconds: float, rate_hz: float, word: str) -> int:
     if not 0 <= seconds * rate_hz <= timing.MOST_FRAMES:
-        raise BadInput(f"{word} is given {seconds:g} s: give 0 to {timing.MOST_FRAMES / rate_hz:g}")
+        raise BadInput(
+            f"{word} is {seconds:g} s; expected 0 to {timing.MOST_FRAMES / rate_hz:g} s. Change it"
+        )
     return round(seconds * rate_hz)
 
 
@@ -338,14 +342,14 @@ def _check_alike(motions: Sequence[Motion], word: str) -> None:
     """Raise `BadInput` if motions cannot be combined: there is one, or their rates or components differ."""
     if len(motions) < 2:
         raise BadInput(
-            f"{word} puts several motions together, {len(motions)} is there: give at least 2 tables"
+            f"{word} has {len(motions)} motion; expected at least 2 to combine. Give at least 2 tables"
         )
     first = motions[0]
     for motion in motions[1:]:
         if abs(motion.rate_hz - first.rate_hz) > SAME_RATE * first.rate_hz:
             raise BadInput(
-                f"{first.name} has {first.rate_hz:g} Hz, {motion.name} {motion.rate_hz:g} Hz: bring them to one frame "
-                f"rate first, with rate={first.rate_hz:g} before {word}"
+                f"{first.name} has {first.rate_hz:g} Hz, {motion.name} has {motion.rate_hz:g} Hz; expected one frame "
+                f"rate. Put rate={first.rate_hz:g} before {word}"
             )
         timing.check_same_components(first.loadings_sd, motion.loadings_sd)
 

@@ -507,7 +507,7 @@ def test_too_few_expressions_for_landmarks_are_not_answered_with_a_verb_that_nee
     ran = CliRunner().invoke(main, ["blend-avatar", *words, "--expressions", "3", "--identity", "anna"])
     assert ran.exit_code == 0, ran.output
     assert "more --expressions" in ran.output and "keypoints" not in ran.output.split("landmarks, which")[1]
-    assert "the avatar is called anna, as one of its sources is" in ran.output
+    assert "the avatar is named anna, like one of its sources" in ran.output
 
 
 @pytest.mark.slow  # it blends twice
@@ -541,7 +541,7 @@ def test_numbers_that_are_not_finite_are_refused(anna, ben):
     components = np.array(ben.basis.components)
     components[1, -5] = np.nan
     broken = replace(ben, basis=replace(ben.basis, components=components))
-    with pytest.raises(BadInput, match="ben holds numbers that are not finite"):
+    with pytest.raises(BadInput, match="ben has numbers that are not finite"):
         studio_of([anna, broken], settings_of())
 
 

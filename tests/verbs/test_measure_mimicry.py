@@ -91,7 +91,7 @@ def test_a_table_against_itself_is_perfect(work, model):
     assert found["distance_sd"] == [0, 0, 0, 0] and found["lag_frames"] == [0, 0, 0, 0]
     assert found["correlation_p"][-1] == round(1 / FRAMES, 6)
     assert outcome.warnings == (
-        "with 23 circular shifts no p of frames in pairs can be below 0.042: more frames are needed for a smaller one",
+        "with 23 circular shifts, p of frames in pairs cannot be below 0.042. A smaller p needs more frames",
     )
     assert outcome.document["correlation"] == pytest.approx(1)
     assert outcome.document["least_p"] == dict.fromkeys(
@@ -232,7 +232,7 @@ def test_an_imitation_at_another_rate_is_brought_to_the_rate_of_the_stimulus(wor
     outcome = measured(
         work, table(work, "a", wave, model, rate_hz=20), table(work, "b", faster, model, rate_hz=40)
     )
-    assert any("20 Hz, the imitation at 40 Hz" in note for note in outcome.warnings)
+    assert any("20 Hz, the imitation 40 Hz" in note for note in outcome.warnings)
     assert outcome.document["imitation_frames"] == 40
     assert_allclose(rows(work)["correlation"], 1, atol=1e-9)
     assert rows(work)["lag_frames"][-1] == 0
@@ -242,13 +242,13 @@ def test_one_known_rate_is_said_to_be_taken_for_both(work, model):
     outcome = measured(
         work, table(work, "a", motion(), model, rate_hz=25), table(work, "b", motion(seed=1), model)
     )
-    assert any("only the stimulus tells its frame rate, 25 Hz" in note for note in outcome.warnings)
+    assert any("only the stimulus has a frame rate, 25 Hz" in note for note in outcome.warnings)
 
 
 def test_few_shifts_are_said_to_be_no_test(work, model):
     given = table(work, "a", motion(9), model), table(work, "b", motion(9, 1), model)
     outcome = measured(work, *given, permutations=99)
-    said = "with 8 circular shifts no p of frames in pairs can be below 0.11 (at the best lag and aligned down to 0.01)"
+    said = "with 8 circular shifts, p of frames in pairs cannot be below 0.11 (at the best lag and aligned, below 0.01)"
     assert any(note.startswith(said) and "more frames" in note for note in outcome.warnings)
     page = (work / "out" / "index.html").read_text()
     assert "can be no smaller than 0.11 (0.11 for information)" in page
@@ -343,7 +343,9 @@ def test_a_component_that_does_not_move_is_named(work, model):
 def test_a_motion_that_is_next_to_nothing_is_said(work, model):
     given = table(work, "a", motion(), model)
     outcome = measured(work, given, table(work, "b", 0.02 * motion(seed=1), model))
-    assert any("the imitation hardly moves, 2.0 % of the stimulus" in note for note in outcome.warnings)
+    assert any(
+        "the imitation hardly moves: its motion is 2.0 % of the stimulus" in note for note in outcome.warnings
+    )
     assert not any("hardly" in note for note in measured(work, given, given).warnings)
 
 
@@ -352,7 +354,7 @@ def test_another_face_is_measured_about_its_own_mean_and_said(work, model):
     outcome = measured(
         work, table(work, "a", stimulus, model), table(work, "b", stimulus + np.array([5, 0, 0]), model)
     )
-    assert any("5.0 SD from the stimulus on average (pc001)" in note for note in outcome.warnings)
+    assert any("5.0 SD from that of the stimulus (pc001)" in note for note in outcome.warnings)
     found = rows(work)
     assert_allclose(found["correlation"], 1)
     assert_allclose(found["distance_centred_sd"], 0, atol=1e-12)
@@ -466,7 +468,7 @@ def test_a_table_of_another_model_is_refused_and_says_what_to_do(work, model):
     other = table(work, "b", motion(), model, model_id="other")
     document = json.loads((work / "b.json").read_text())
     (work / "b.json").write_text(json.dumps({**document, "model_id": "0123"}))
-    with pytest.raises(ReferenceMismatch, match=r"b\.csv belongs to model 0123.*give its clip instead"):
+    with pytest.raises(ReferenceMismatch, match=r"b\.csv belongs to model 0123.*Give its clip instead"):
         measured(work, given, other)
     assert not (work / "out").exists()
 
@@ -611,9 +613,13 @@ def test_an_imitator_that_cannot_be_used_is_named(work, model, what):
         "table of the stimulus": (
             "other.morph",
             a,
-            r"a\.csv is in the space of the stimulus.*leave out --imitator",
+            r"a\.csv belongs to the model of the stimulus.*Leave out --imitator",
         ),
-        "third table": ("other.morph", table(work, "c", motion(), model, model_id="third"), "--imitator is"),
+        "third table": (
+            "other.morph",
+            table(work, "c", motion(), model, model_id="third"),
+            "that of --imitator",
+        ),
         "no file": ("none.morph", b, r"none\.morph"),
     }[what]
     if what == "no keypoints":
@@ -686,12 +692,12 @@ def test_frames_without_a_face_are_named(work, model):
         "stimulus": ["clip_002", "clip_005"],
         "imitation": None,
     }
-    said = "2 of 6 frames of the stimulus clip show no face to the detector (the first is clip_002): "
+    said = "the detector finds no face in 2 of 6 frames of the stimulus clip (the first is clip_002): "
     assert outcome.warnings[0].startswith(said)
     assert said in (work / "out" / "index.html").read_text()
     validator().validate(json.loads((work / "out" / "measures.json").read_text()))
     outcome = measured(work, *given, detector=lambda image: FACE)
-    assert outcome.document["no_face"] == 0 and not any("face to the" in note for note in outcome.warnings)
+    assert outcome.document["no_face"] == 0 and not any("finds no face" in note for note in outcome.warnings)
     assert outcome.document["frames_without_face"]["stimulus"] == []
 
 
@@ -700,11 +706,11 @@ def test_why_faces_were_not_looked_for_is_said(work, model, tmp_path, monkeypatc
     given = clip(work, "clip", 0.5 * motion(6), model, 20), table(work, "b", 0.5 * motion(6, 1), model)
     without = measured(work, *given)
     assert any(
-        "of the stimulus clip show a face was not looked at" in n and "models fetch" in n
+        "of the stimulus clip were not searched for faces" in n and "models fetch" in n
         for n in without.warnings
     )
     unknown = measured(work, *given, detector=lambda image: None)
-    assert any("sees no face in the mean of drawn" in note for note in unknown.warnings)
+    assert any("finds no face in the mean of drawn" in note for note in unknown.warnings)
     for outcome in (without, unknown):
         assert outcome.document["no_face"] == 0
         assert outcome.document["frames_without_face"] == {"stimulus": None, "imitation": None}
@@ -733,7 +739,7 @@ def test_the_command_line_exits_3_where_a_frame_shows_no_face(work, model, monke
     monkeypatch.setattr("morphspace.face.detector.own_detector", lambda: detector)
     result = CliRunner().invoke(main, list(map(str, words)))
     assert result.exit_code == 3, result.output
-    assert "6 of 6 frames of the stimulus clip show no face to the detector: " in result.stderr
+    assert "the detector finds no face in 6 of 6 frames of the stimulus clip: " in result.stderr
 
 
 @pytest.mark.parametrize("name", WRITTEN)

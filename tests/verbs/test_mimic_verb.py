@@ -371,7 +371,7 @@ def test_a_detector_that_does_not_know_the_source_is_not_believed(work, actor):
     given = clip(work, actor, 0.5 * actor.training.values[:2])
     outcome = run(work, frames=given, detector=lambda image: None)
     assert outcome.document["no_face"] == 0
-    assert any("sees no face in the mean of drawn" in note for note in outcome.warnings)
+    assert any("finds no face in the mean of drawn" in note for note in outcome.warnings)
 
 
 def test_little_motion_kept_is_said(work, actor):
@@ -520,7 +520,7 @@ def test_more_components_than_there_are_is_all_of_them_and_is_said(work):
     outcome = run(work, components=3, method="paper")
     assert "3 components were requested; other has 2, and all are used" in outcome.warnings
     frames = {path.name: path.read_bytes() for path in (work / "out" / "frames").iterdir()}
-    assert not any("components were asked" in note for note in run(work, method="paper").warnings)
+    assert not any("components were requested" in note for note in run(work, method="paper").warnings)
     assert {path.name: path.read_bytes() for path in (work / "out" / "frames").iterdir()} == frames
 
 

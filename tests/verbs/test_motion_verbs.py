@@ -247,10 +247,10 @@ def test_a_mean_trajectory_that_was_kept_serves_as_the_guide(files, tmp_path):
         ({"tables": ()}, "no table"),
         ({"tables": ("smile.csv", "fast.csv"), "operations": ("splice",)}, "rate=10 before splice"),
         ({"operations": ("speed=0",)}, "speed is 0"),
-        ({"operations": ("speed=nan",)}, "no number"),
+        ({"operations": ("speed=nan",)}, "expected a number"),
         ({"operations": ("speed",)}, "speed=TIMES"),
         ({"operations": ("loop=1:2",)}, r"loop\[=S\]"),
-        ({"operations": ("lop",)}, r"did you mean loop"),
+        ({"operations": ("lop",)}, r"Did you mean loop"),
         ({"operations": ("smooth=5",)}, "half the frame rate"),
         ({"operations": ("reverse", "smooth=1e-7")}, "^smooth=1e-07: a cut-off of 1e-07 Hz is too low"),
         ({"operations": ("timing",)}, "--guide"),
@@ -258,8 +258,8 @@ def test_a_mean_trajectory_that_was_kept_serves_as_the_guide(files, tmp_path):
         ({"operations": ("reverse",), "guide": "frown.csv"}, "a guide is given, but no operation takes one"),
         ({"operations": ("splice",)}, "at least 2 tables"),
         ({"operations": ("part=1:0.5",)}, "0 frames"),
-        ({"operations": ("rate=1",)}, "give a higher rate"),
-        ({"operations": ("rate=nan",)}, "no number"),
+        ({"operations": ("rate=1",)}, "Give a higher rate"),
+        ({"operations": ("rate=nan",)}, "expected a number"),
         ({"operations": ("scramble-blocks=2",)}, "20 of the 12 frames"),
         ({"operations": ("loop=-1",)}, "-1 s"),
         ({"video": ".avi"}, ".mp4, .mkv"),
@@ -472,7 +472,7 @@ def test_the_command_line_says_what_came_out(files, tmp_path):
     assert (result.exit_code, "a loop" in result.output) == (0, True)
     result = CliRunner().invoke(main.main, [*words, "--op", "smoth=3"])
     assert result.exit_code == 2
-    assert "did you mean smooth=HZ?" in result.output
+    assert "Did you mean smooth=HZ?" in result.output
     ends = [f"{files / 'smile.csv'}:frame_00{row}" for row in (3, 8)]
     words = [
         "continuum",

@@ -28,7 +28,7 @@ EXPOSURE_DRIFT_CORRELATION = 0.7  # of exposure with time: above it the light dr
 EYES_LEAST_SHARE = 0.18  # of the frame's width from eye to eye; frames cropped to the head have 0.23 to 0.30
 MOUTH_REACH = 0.04  # of the mouth region's contrast over a clip; below it the mouth hardly opens
 MOUTH_CLOSED = 0.12  # of that reach; on six clips two shut references lay below 0.05, the others above 0.14
-MOUTH_SLIGHTLY_OPEN = (0.2, 0.6)  # of that reach: what the paper asks for, some teeth and some dark
+MOUTH_SLIGHTLY_OPEN = (0.2, 0.6)  # of that reach; the paper asks for some teeth and a dark gap
 FOLD_SHARE = 0.01  # of the cells inside the mask; folds this large are seen as smears
 CONFIDENCE_LOW = 0.5  # mean inside the mask; below it more of the face is filled in than was found
 PSNR_LOW_DB = 30.0  # below it a rebuilt frame visibly differs from the original
@@ -36,7 +36,7 @@ PSNR_MANY = 0.25  # of the frames; when so many are poor it is the model, not th
 MASK_LEAST_SHARE = 0.05  # of the frame; a face in so small a part has too few pixels
 MASK_MOST_SHARE = 0.95  # of the frame; then the background is part of the model
 MASK_FLAT_SD = 0.01  # luma; without texture the flow has nothing to follow
-FRAMES_FEW = 20  # a clip of so few frames shows too few expressions for components that mean something
+FRAMES_FEW = 20  # frames; fewer show too few expressions for components that can be interpreted
 SOURCE_LARGER = 1.5  # times in each direction; below it a larger model would show little more
 NAMES_AT_MOST = 5  # in a sentence
 
@@ -55,7 +55,7 @@ class Advice:
 
 @dataclass(frozen=True, eq=False)
 class Case:
-    """What the rules look at: the build, its figures, and the size (w, h) px of the sources where it is known."""
+    """The input of the rules: the build, its figures, and the size (w, h) px of the sources if known."""
 
     build: Build
     figures: FrameFigures
@@ -75,7 +75,7 @@ class Case:
 
 @dataclass(frozen=True, eq=False)
 class HeadPath:
-    """How the head moved, per frame against the reference: shift (n, 2) px of the frame's centre, turn, scale."""
+    """The movement of the head relative to the reference: shift (n, 2) px of the frame's centre, turn, scale."""
 
     shift_px: AnyArray
     turn_deg: AnyArray
@@ -92,7 +92,7 @@ def head_path(registrations: Affine, size: tuple[int, int]) -> HeadPath:
 
 
 def advice_for(case: Case) -> tuple[Advice, ...]:
-    """Return all advice on a build, what should be mended first. Ours."""
+    """Return all advice on a build; the level `mend` comes first. Ours."""
     found = [Advice(rule, level, words) for rule, level, say in RULES for words in say(case)]
     return tuple(sorted(found, key=lambda advice: advice.level == "consider"))
 
@@ -103,7 +103,7 @@ def _warnings_of_the_build(case: Case) -> Iterator[str]:
 
 
 def _registration_lost(case: Case) -> Iterator[str]:
-    """Speak where registration gave a frame a size that no head can have."""
+    """Advise if registration gave a frame a size that no head can have."""
     lost = np.flatnonzero(_lost(head_path(case.build.registrations, case.build.model.size)))
     if len(lost):
         yield (
@@ -114,7 +114,7 @@ def _registration_lost(case: Case) -> Iterator[str]:
 
 
 def _head_moved(case: Case) -> Iterator[str]:
-    """Speak where registration had to move, turn or scale the frames far."""
+    """Advise if registration had to move, turn or scale the frames far."""
     size = case.build.model.size
     path = head_path(case.build.registrations, size)
     kept = ~_lost(path)
@@ -139,7 +139,7 @@ def _head_moved(case: Case) -> Iterator[str]:
 
 
 def _head_turned(case: Case) -> Iterator[str]:
-    """Speak where brow and nose still move after registration: the head turned in depth, or registration failed."""
+    """Advise if brow and nose still move after registration: the head turned in depth, or registration failed."""
     limit = HEAD_DEPTH_SHARE * case.build.model.size[0]
     over = _worst_first(case.figures.rigid_motion_px, case.figures.rigid_motion_px > limit)
     if len(over):
@@ -151,15 +151,15 @@ def _head_turned(case: Case) -> Iterator[str]:
 
 
 def _exposure_changed(case: Case) -> Iterator[str]:
-    """Speak where the light on the rigid part of the face changes over the clip."""
+    """Advise if the light on the rigid part of the face changes over the clip."""
     stops = case.figures.exposure_stops
     low, high = np.percentile(stops, [5, 95])
     if high - low > EXPOSURE_RANGE_STOPS:
         is_steady = abs(np.corrcoef(np.arange(len(stops)), stops)[0, 1]) > EXPOSURE_DRIFT_CORRELATION
         yield (
             f"The exposure {'drifts' if is_steady else 'goes up and down'} by {high - low:.2f} stops over the clip, "
-            "so that some components will be light, not expression. Film with exposure and white balance locked, away "
-            "from daylight and flickering lamps, or give the frames equal brightness before building."
+            "so some components will show light rather than expression. Film with exposure and white balance locked, "
+            "away from daylight and flickering lamps, or give the frames equal brightness before building."
         )
 
 
@@ -176,12 +176,12 @@ def _face_not_found(case: Case) -> Iterator[str]:
         return
     yield (
         f"The detector found no face in {_frames(len(missing))} ({case.named(missing)}), which were used without face "
-        "points. Look at them: a hand before the face or a head turned away does not belong in the model."
+        "points. Leave out frames in which a hand covers the face or the head is turned away."
     )
 
 
 def _face_small(case: Case) -> Iterator[str]:
-    """Speak where the eyes are so near to each other that the face fills little of the frame."""
+    """Advise if the eyes are so near to each other that the face fills little of the frame."""
     model = case.build.model
     if case.build.faces_found is None or model.faceframe is None:
         return
@@ -195,7 +195,7 @@ def _face_small(case: Case) -> Iterator[str]:
 
 
 def _mouth_closed(case: Case) -> Iterator[str]:
-    """Speak where frames open the mouth and the reference seems not to.
+    """Advise if frames open the mouth and the reference seems not to.
 
     A proxy without landmarks: teeth and the dark behind them raise the contrast of the mouth region.
     """
@@ -222,43 +222,42 @@ def _frames_fold(case: Case) -> Iterator[str]:
     over = _worst_first(case.figures.fold_fractions, case.figures.fold_fractions > FOLD_SHARE)
     if len(over):
         yield (
-            f"{_frames(len(over)).capitalize()} fold more than {100 * FOLD_SHARE:g} % of the face, the most "
-            f"{case.named(over)}. Look where under Folds: around the mouth, another reference helps; elsewhere leave "
-            "the frames out."
+            f"In {_frames(len(over))} more than {100 * FOLD_SHARE:g} % of the face folds, most in {case.named(over)}. "
+            "See the pictures under Folds. Around the mouth another reference helps; elsewhere leave the frames out."
         )
 
 
 def _flow_unsure(case: Case) -> Iterator[str]:
-    """Speak where the flow did not find most of the face in a frame."""
+    """Advise if the flow did not find most of the face in a frame."""
     low = _worst_first(-case.build.confidences, case.build.confidences < CONFIDENCE_LOW)
     if len(low):
         yield (
-            f"In {_frames(len(low))} the flow's mean confidence is below {CONFIDENCE_LOW:g}, the least in "
-            f"{case.named(low)}: most of the face was filled in from its surround. Look at these frames: leave them "
-            "out where a hand, hair, motion blur or a turned head hides the face. If they are many, the frames are "
-            "too dark, blurred or small."
+            f"In {_frames(len(low))} the flow's mean confidence is below {CONFIDENCE_LOW:g}, lowest in "
+            f"{case.named(low)}: most of the face was filled in from its surroundings. Leave out frames in which a "
+            "hand, hair, motion blur or a turned head hides the face. If there are many, the frames are too dark, "
+            "blurred or small."
         )
 
 
 def _poor_reconstruction(case: Case) -> Iterator[str]:
-    """Speak where frames drawn from all their loadings miss the original."""
+    """Advise if frames drawn from all their loadings miss the original."""
     psnr = case.figures.psnr_db
     low = _worst_first(-psnr, psnr < PSNR_LOW_DB)
     if len(low) > PSNR_MANY * len(psnr):
         yield (
             f"{len(low)} of {len(psnr)} frames are reconstructed from their loadings with less than {PSNR_LOW_DB:g} "
-            "dB. Ask for more components; if that does not help, the clip moves or changes too much for one model."
+            "dB. Build with more components. If that does not help, the face changes too much for one model."
         )
     elif len(low):
         yield (
             f"{_frames(len(low)).capitalize()} {'is' if len(low) == 1 else 'are'} reconstructed from the loadings with "
-            f"less than {PSNR_LOW_DB:g} dB: {case.named(low)}. Look at {'it' if len(low) == 1 else 'them'}: a hand "
-            "before the face, motion blur or a turned head do not belong in the model; leave such frames out."
+            f"less than {PSNR_LOW_DB:g} dB: {case.named(low)}. Leave out frames with a hand before the face, motion "
+            "blur or a turned head."
         )
 
 
 def _mask_misses_the_face(case: Case) -> Iterator[str]:
-    """Speak where the mask is nearly empty or nearly everything, or covers nothing that could be followed."""
+    """Advise if the mask is nearly empty or nearly everything, or covers nothing that could be followed."""
     model = case.build.model
     mask = model.mask.astype(np.float64)
     share = float(mask.mean())
@@ -271,41 +270,41 @@ def _mask_misses_the_face(case: Case) -> Iterator[str]:
         mean = (luma * mask).sum() / mask.sum()
         if np.sqrt(((luma - mean) ** 2 * mask).sum() / mask.sum()) >= MASK_FLAT_SD:
             return
-        way = "a part without texture, which flow cannot follow: check that it lies on the face"
+        way = "a part without texture, which flow cannot follow: check that the mask is on the face"
     yield f"The mask covers {way}."
 
 
 def _fewer_components(case: Case) -> Iterator[str]:
-    """Speak where the model has fewer components than asked for; the build itself warns of rank 0."""
+    """Advise if the model has fewer components than asked for; the build itself warns of rank 0."""
     model = case.build.model
     asked = int(model.provenance.get("components_asked", model.rank))
     if not 0 < model.rank < asked:
         return
     most = len(case.names) - 1
-    reason = "the frames repeat each other beyond these: add frames that show something new"
+    reason = "The frames show nothing else. Add frames that differ from them"
     if model.rank == most:
-        reason = f"{len(case.names)} frames cannot give more than {most}: add frames if you need more"
-    yield f"{asked} components were asked for, the model has {model.rank}; {reason}."
+        reason = f"{len(case.names)} frames cannot give more than {most}. Add frames if you need more"
+    yield f"{asked} components were requested; the model has {model.rank}. {reason}."
 
 
 def _few_frames(case: Case) -> Iterator[str]:
     if len(case.names) < FRAMES_FEW:
         yield (
-            f"{len(case.names)} frames are few: the model can only show what they show. Take {FRAMES_FEW} or more "
-            "that span the expressions you want."
+            f"The clip has {len(case.names)} frames; expected {FRAMES_FEW} or more. The model can show only what they "
+            "show. Add frames that span the expressions you need."
         )
 
 
 def _sources_differ_in_size(case: Case) -> Iterator[str]:
-    """Speak where the frames were shrunk or enlarged to the model's size."""
+    """Advise if the frames were reduced or enlarged to the model's size."""
     size = case.build.model.size
     source = case.source_size or size
     sizes = f"from {source[0]} x {source[1]} to {size[0]} x {size[1]} px"
     ratio = min(source[0] / size[0], source[1] / size[1])
     if ratio > SOURCE_LARGER:
-        yield f"The frames were shrunk {sizes}. If your stimuli need finer detail, build again with a larger size."
+        yield f"The frames were reduced {sizes}. If your stimuli need finer detail, build again with a larger size."
     elif ratio < 1:
-        yield f"The frames were enlarged {sizes}, which adds no detail: build with a size the sources have."
+        yield f"The frames were enlarged {sizes}, which adds no detail. Build at the size of the sources."
 
 
 def _lost(path: HeadPath) -> AnyArray:

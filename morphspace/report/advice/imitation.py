@@ -1,4 +1,4 @@
-"""Advice on a measured imitation: what to know before reading its measures, and what to do about it."""
+"""Advice on a measured imitation: what to know before its measures are read, and the remedy."""
 
 from __future__ import annotations
 
@@ -16,7 +16,9 @@ MOVED_SD = (
 )
 HARDLY = 0.05  # of the other's motion, root mean square
 SAME = 0.999  # a correlation with nothing left to find by a lag
-SMALL_P = 0.02  # where no p can go below it, the reader must know: the least ones rest on a shift or two
+SMALL_P = (
+    0.02  # if p cannot fall below it, the reader should know: the smallest p then rest on one or two shifts
+)
 
 
 def mean_apart(a_sd: LoadingTable, b_sd: LoadingTable, imitation: Motion, notes: list[str]) -> AnyArray:
@@ -27,10 +29,11 @@ def mean_apart(a_sd: LoadingTable, b_sd: LoadingTable, imitation: Motion, notes:
         return np.zeros_like(apart)
     why = "another face, light or camera"
     if imitation.imitator is not None:
-        why = "what is neutral differs between the two models, or the imitation holds mostly one expression"
+        why = "the neutral faces of the two models differ, or the imitation shows mostly one expression"
     notes.append(
-        f"the imitation lies {abs(apart[farthest]):.1f} SD from the stimulus on average (pc{farthest + 1:03d}): {why}; "
-        "distances include that offset; distance_centred_sd and correlations do not, and the video is drawn without it"
+        f"the mean of the imitation is {abs(apart[farthest]):.1f} SD from that of the stimulus (pc{farthest + 1:03d}). "
+        f"The likely cause is {why}. Distances include this offset; distance_centred_sd, correlations and the video do "
+        "not"
     )
     return np.asarray(apart)
 
@@ -38,24 +41,24 @@ def mean_apart(a_sd: LoadingTable, b_sd: LoadingTable, imitation: Motion, notes:
 def strange_words(
     stimulus: Motion, imitation: Motion, model: MorphModel, faceless: Collection[str]
 ) -> list[str]:
-    """Note each clip that is evidently not of the model's person, camera and light, and what to do about it.
+    """Note each clip that evidently differs from the model in person, camera or light, with the remedy.
 
     A role in `faceless`, whose frames show no face at all, gets no note.
     """
     words = []
-    for role, source, cure in (
-        ("stimulus", stimulus, "give the stimulus' own model as --model"),
+    for role, source, remedy in (
+        ("stimulus", stimulus, "Give the stimulus' own model as --model"),
         (
             "imitation",
             imitation,
-            "build a model of the imitator, give it keypoints (morphspace keypoints), and name it with --imitator",
+            "Build a model of the imitator, set its keypoints (morphspace keypoints), and give it as --imitator",
         ),
     ):
         if source.is_strange and role not in faceless:
             words.append(
-                f"the {role} {source.name} is evidently of another person, day or camera than {model.identity}: its "
-                f"frames lie {source.outside:.1f} times the model's variance outside its space (about 0.2 where they "
-                f"do not), so that the measures compare faces more than motions; {cure}"
+                f"the {role} {source.name} is evidently of another person, day or camera than {model.identity}: the "
+                f"energy of its frames outside the model's space is {source.outside:.1f} times the model's variance; "
+                f"expected about 0.2. The measures then compare faces more than motions. {remedy}"
             )
     return words
 
@@ -67,8 +70,8 @@ def size_words(stimulus: LoadingTable, imitation: LoadingTable) -> list[str]:
         for role, values in (("stimulus", stimulus), ("imitation", imitation))
     }
     return [
-        f"the {role} hardly moves, {100 * size / sizes[other]:.1f} % of the {other}'s motion: a correlation with it "
-        "may be noise"
+        f"the {role} hardly moves: its motion is {100 * size / sizes[other]:.1f} % of the {other}'s. A correlation "
+        "with it may be noise"
         for role, size, other in (
             ("stimulus", sizes["stimulus"], "imitation"),
             ("imitation", sizes["imitation"], "stimulus"),
@@ -85,19 +88,19 @@ def chance_words(comparison: Comparison) -> list[str]:
     if least["frame_by_frame"] > SMALL_P:
         searched = max(least["lag"], least["alignment"])
         others = (
-            f" (at the best lag and aligned down to {searched:.2g})"
+            f" (at the best lag and aligned, below {searched:.2g})"
             if searched < least["frame_by_frame"]
             else ""
         )
         why = "more frames" if baseline.is_exhaustive else "more permutations"
         notes.append(
-            f"with {len(baseline.shifts)} circular shifts no p of frames in pairs can be below "
-            f"{least['frame_by_frame']:.2g}{others}: {why} are needed for a smaller one"
+            f"with {len(baseline.shifts)} circular shifts, p of frames in pairs cannot be below "
+            f"{least['frame_by_frame']:.2g}{others}. A smaller p needs {why}"
         )
     lag = comparison.measures["lag_frames"][-1]
     if lag in (comparison.lags[0], comparison.lags[-1]) and comparison.measures["correlation"][-1] < SAME:
         notes.append(
-            f"the best lag, {lag:.0f} frames, is the longest that was tried: the true lag may be longer, or "
-            "there may be none"
+            f"the best lag, {lag:.0f} frames, is the longest that was tried. The true lag may be longer, or the "
+            "motions may be unrelated"
         )
     return notes

@@ -18,9 +18,7 @@ from morphspace.transfer.neutral import Neutral
 from morphspace.transfer.quality_table import BEYOND, FOLDS, NO_FACE, OUT_OF_RANGE, TURNED, FrameMade, rounded
 
 LITTLE_KEPT = 0.3  # median share of the motion; below it the target hardly follows
-WANTED_GAIN = (
-    0.5  # away from 1 by more than this, another size of motion was asked for, and little is kept on purpose
-)
+WANTED_GAIN = 0.5  # away from 1; a gain this far from 1 changes the size of the motion on purpose
 # Of the eye distance. Means of five clips differ by .01 to .09 in opening; in width, where people differ too, by .02 to
 # .10 where both hold all kinds of faces, and by .15 to .26 where one holds a single smile.
 MEANS_APART = {"opening": 0.08, "width": 0.18}
@@ -44,14 +42,10 @@ def looks_for_faces(
     A detector that finds no face in the source's mean, such as a drawn one, finds none in the frames either.
     """
     if detector is None:
-        frames = (
-            "whether each driving frame shows a face, whether its head is turned, and "
-            if driver.is_pictures
-            else "whether a head is turned, and "
-        )
+        frames = "whether each driving frame shows a face, " if driver.is_pictures else ""
         words = (
-            f"{frames}whether the means of the two models differ in expression was not looked at, which needs the "
-            f"networks: {how_to_get_networks()}"
+            f"not checked without the networks: {frames}whether a head is turned, and whether the two mean faces "
+            f"differ in expression. To check, {how_to_get_networks()}"
         )
         return Looks(None, None, (words,))
     found = [detector(np.clip(model.mean.render(), 0, 1)) for model in (source, target)]
@@ -59,8 +53,8 @@ def looks_for_faces(
     means = (a, b) if a is not None and b is not None else None
     if a is None:
         words = (
-            f"the detector sees no face in the mean of {source.identity}: its frames were not checked for faces and "
-            "turned heads"
+            f"the detector finds no face in the mean of {source.identity}, so its frames were not checked for faces "
+            "and turned heads"
         )
         return Looks(None, None, (words,) if driver.is_pictures else ())
     return Looks(detector, means)
@@ -101,9 +95,9 @@ def _means_words(source: MorphModel, target: MorphModel, looks: Looks) -> tuple[
     if not words:
         return ()
     return (
-        f"the mean faces differ in expression: {' and '.join(words)}. What is neutral for one is not for the other, "
-        "and every face has that difference in error: name a resting frame of each with --neutral A_FRAME,B_FRAME, or "
-        "build both models from frames of like expressions",
+        f"the mean faces differ in expression: {' and '.join(words)}. Every face of {target.identity} contains this "
+        "difference. Name a neutral frame of each with --neutral A_FRAME,B_FRAME, or build both models from frames of "
+        "similar expressions",
     )
 
 
@@ -116,24 +110,24 @@ def _kept_words(
     shown = f"{target.identity} shows only {max(kept, 0):.0%} of the motion's energy (median over frames)"
     if components < target.rank:
         return (
-            f"{shown}, by {components} of its {target.rank} components: leave out -k, or give a larger number",
+            f"{shown}, with {components} of its {target.rank} components. Leave out -k, or give a larger number",
         )
     return (
-        f"{shown}: its training frames have little of this motion. Build its model from frames with more and stronger "
+        f"{shown}: its training frames show little of this motion. Build its model from frames with more and stronger "
         "expressions, or check the keypoints of both models",
     )
 
 
 def _strange_words(source: MorphModel, made: Sequence[FrameMade]) -> tuple[str, ...]:
-    """Note driving frames that are evidently not of the source's person, camera and light."""
+    """Note driving frames that evidently differ from the source in person, camera or light."""
     seen = [one.outside_source for one in made if one.outside_source is not None]
     outside = float(np.median(seen)) if seen else 0.0
     if outside <= STRANGE:
         return ()
     return (
-        f"the driving frames are evidently of another person, day or camera than {source.identity}: they lie "
-        f"{outside:.1f} times the model's variance outside its space (about 0.2 where they do not; outside_source in "
-        "quality.csv), so that the mimicry shows the difference between the faces more than their motion; give as "
+        f"the driving frames are evidently of another person, day or camera than {source.identity}: their energy "
+        f"outside the model's space (outside_source in quality.csv) is {outside:.1f} times the model's variance; "
+        "expected about 0.2. The mimicry then shows the difference between the faces more than their motion. Give as "
         "--src a model of the person in the frames",
     )
 
@@ -148,22 +142,21 @@ def _centre_words(
     if abs(mean[farthest]) <= OFF_CENTRE_SD:
         return ()
     return (
-        f"on average the frames drive {target.identity} to {mean[farthest]:+.1f} SD of pc{farthest + 1:03d}: the "
-        f"driving clip holds mostly one expression, or light and pose are not those that {source.identity} was built "
-        "from. In the second case every face has that difference in error: build the source's model from the "
-        "driving clip",
+        f"on average the frames drive {target.identity} to {mean[farthest]:+.1f} SD of pc{farthest + 1:03d}. Either "
+        "the driving clip shows mostly one expression, or its light or pose differs from that of the frames that "
+        f"{source.identity} was built from. In the second case every face contains this difference. Build the source's "
+        "model from the driving clip",
     )
 
 
 def _flag_words(target: MorphModel, made: Sequence[FrameMade]) -> tuple[str, ...]:
     meanings = {
-        NO_FACE: "show no face to the detector: their mimicry means nothing",
+        NO_FACE: "show no face that the detector finds: their mimicry is not meaningful",
         TURNED: "show a head turned by more than 20 degrees: its far side is hidden, and the motion is less certain",
-        BEYOND: f"ask for more than {target.identity} ever shows: at lids, brows and lips more than {OUT_OF_RANGE:.0%} "
-        "of the eye distance is missing (missing_motion), or the mouth is asked to open wider than it ever does "
-        "(opening_beyond). Build its model from frames that show such expressions, or "
-        "lower the gain",
-        FOLDS: "fold over themselves in places: lower --gain or --max-sd",
+        BEYOND: f"need more motion than {target.identity} shows in any training frame: at lids, brows and lips more "
+        f"than {OUT_OF_RANGE:.0%} of the eye distance is missing (missing_motion), or the mouth would have to open "
+        "wider (opening_beyond). Build its model from frames that show such expressions, or lower the gain",
+        FOLDS: "fold in places: lower --gain or --max-sd",
     }
     words = []
     for flag, meaning in meanings.items():
