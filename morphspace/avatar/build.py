@@ -18,9 +18,9 @@ from morphspace.arrays import AnyArray, Image, Mask
 from morphspace.avatar.blend import Mixer
 from morphspace.avatar.common_grid import version_picture
 from morphspace.avatar.notes import notes_on
-from morphspace.avatar.prepared import Studio, studio_of
 from morphspace.avatar.settings import FLAT, MOST_SHARPEN, AvatarSettings, Expression
 from morphspace.avatar.sharpness import WELL_INSIDE, Curve, curve, mean_curve, sharpened, sharpness
+from morphspace.avatar.studio import Studio, studio_of
 from morphspace.cache import is_finished, read_result, result_file, write_result
 from morphspace.errors import BadInput
 from morphspace.face.faceframe import FaceFrame, RegistrationKind

@@ -16,7 +16,7 @@ import cv2
 import numpy as np
 
 from morphspace.arrays import Affine, AnyArray, Displacement, Image, Mask
-from morphspace.avatar import visible
+from morphspace.avatar.skin import inside_outline, skin_share
 from morphspace.errors import BadInput
 from morphspace.face.anchor import HELD, spline_from
 from morphspace.face.faceframe import FaceFrame, identity_affine
@@ -124,10 +124,10 @@ def common_face(models: Sequence[MorphModel], keys: Sequence[str], reference: in
             rest = shortened(rest, MOST_BEYOND_POINTS * width)
         fields.append(unfolded(warp.compose(start, rest)))
     masks = [warp.sample_field(model.mask, field) for model, field in zip(models, fields, strict=True)]
-    outline = visible.inside_outline(home)
+    outline = inside_outline(home)
     mask = np.clip(np.min([*masks, *([] if outline is None else [outline])], axis=0), 0, 1).astype(np.float32)
     skin = [
-        visible.skin_share(home, warp.sample(np.array(model.mean.texture), field), mask)
+        skin_share(home, warp.sample(np.array(model.mean.texture), field), mask)
         for model, field in zip(models, fields, strict=True)
     ]
     return CommonFace(models, fields, mask, skin)

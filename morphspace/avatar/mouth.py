@@ -19,8 +19,8 @@ import numpy as np
 
 from morphspace.arrays import Affine, AnyArray, Displacement, Image, Mask, Points
 from morphspace.avatar.common_grid import Laid, placed, shortened
+from morphspace.avatar.skin import disc, filled
 from morphspace.avatar.versions import Version, believed
-from morphspace.avatar.visible import disc, filled
 from morphspace.face.anchor import CHEEKS_AND_CHIN, spline_from
 from morphspace.face.mesh import LANDMARKS, LIPS, PHILTRUM, POINT_COUNT, RIGID_POINTS
 from morphspace.flow import methods

@@ -8,8 +8,8 @@ import numpy as np
 
 from morphspace.arrays import Points
 from morphspace.avatar.mouth import holds_a_mouth
-from morphspace.avatar.prepared import Studio
 from morphspace.avatar.settings import MOST_SHARPEN, REST, SOURCE, Expression
+from morphspace.avatar.studio import Studio
 from morphspace.face.mesh import LEFT_IRIS, LEFT_LIDS, RIGHT_IRIS, RIGHT_LIDS
 from morphspace.model.keypoints import landmarks_of
 

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from morphspace.arrays import AnyArray
-from morphspace.avatar.originals import Clip
+from morphspace.avatar.source_frames import Clip
 from morphspace.errors import BadInput, SizeMismatch
 from morphspace.face.detector import Detector
 from morphspace.model.keypoints import lip_of, required_faceframe

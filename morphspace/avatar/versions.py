@@ -14,7 +14,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from morphspace.arrays import AnyArray, LoadingVector
-from morphspace.avatar.originals import Originals
+from morphspace.avatar.source_frames import Originals
 from morphspace.face.expression import lid_opening, mouth_opening
 from morphspace.face.mesh import landmark_places
 from morphspace.model.keypoints import affine_between_models, required_faceframe

@@ -15,7 +15,7 @@ from morphspace.io.tables import read_loadings_table
 from morphspace.model.model import MorphModel
 from morphspace.sets.kept import digest_of_kept
 from morphspace.sets.manifest import Column
-from morphspace.sets.planned import KEPT_STEMS
+from morphspace.sets.plan import KEPT_STEMS
 from morphspace.sets.sources import FRAME_RATE_HZ, file_names
 from morphspace.steps import Step, Steps
 from morphspace.stimuli.operations import Motion, Operation, operations_of, worked

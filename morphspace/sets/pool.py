@@ -24,8 +24,8 @@ from typing import Any
 
 from morphspace.errors import BadInput, MorphspaceError
 from morphspace.model.model import MorphModel, load_model
-from morphspace.sets.draw import make_stimulus
 from morphspace.sets.folders import FolderJob, fill_folder
+from morphspace.sets.stimulus import make_stimulus
 from morphspace.steps import core_count, single_threads, using_workers
 from morphspace.stimuli.drawing import Drawing
 

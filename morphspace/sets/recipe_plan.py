@@ -22,7 +22,7 @@ from morphspace.outcome import versions
 from morphspace.requests import Verb, request_document, request_from, verb_named
 from morphspace.sets.folders import FolderJob
 from morphspace.sets.manifest import FIRST_COLUMNS, LAST_COLUMNS, Column
-from morphspace.sets.planned import PlannedSet, check_kept_model, check_names
+from morphspace.sets.plan import PlannedSet, check_kept_model, check_names
 from morphspace.sets.sources import file_names
 from morphspace.settings import WrongSetting
 from morphspace.steps import Step, Steps

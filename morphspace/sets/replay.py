@@ -30,8 +30,8 @@ from morphspace.io.texts import read_table
 from morphspace.model.model import MorphModel, load_model
 from morphspace.outcome import versions
 from morphspace.requests import VIDEO_SUFFIXES
-from morphspace.sets.draw import Drawn, draw_file, made_from_of, originals_of, quality_of
 from morphspace.sets.manifest import MANIFEST_NAME
+from morphspace.sets.stimulus import Drawn, draw_file, made_from_of, originals_of, quality_of
 from morphspace.steps import Step, Steps, single_threads, worker_count
 from morphspace.stimuli.drawing import PICTURE_SUFFIXES, Drawing, drawing_of
 from morphspace.storage import digest_of_file, digest_of_json, whole_file

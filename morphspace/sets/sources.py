@@ -19,7 +19,7 @@ from morphspace.io.tables import read_loadings_table
 from morphspace.model.encode import framed_for, notes_on_enlarging
 from morphspace.model.model import MorphModel
 from morphspace.sets.kept import digest_of_kept, encoded_clip
-from morphspace.sets.planned import KEPT_STEMS
+from morphspace.sets.plan import KEPT_STEMS
 from morphspace.steps import Steps
 from morphspace.stimuli.table_checks import check_table
 

@@ -155,7 +155,7 @@ def run(request: BlendAvatarRequest) -> Steps[Outcome]:
 def blend_settings(request: BlendAvatarRequest, models: Sequence[MorphModel]) -> tuple[AvatarSettings, bool]:
     """Open the detector and the clips; return the settings of the blend, and whether the networks are missing."""
     from morphspace.avatar import AvatarSettings
-    from morphspace.avatar.originals import opened_clips
+    from morphspace.avatar.source_frames import opened_clips
     from morphspace.face.detector import detector_for
     from morphspace.outcome import versions
 

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from morphspace.arrays import LoadingTable
     from morphspace.model.model import MorphModel
     from morphspace.outcome import Outcome
-    from morphspace.sets.planned import PlannedSet
+    from morphspace.sets.plan import PlannedSet
     from morphspace.steps import Steps
     from morphspace.stimuli.drawing import Drawing
 
@@ -89,7 +89,7 @@ class CaricatureRequest:
 
 def run(request: CaricatureRequest) -> Steps[Outcome]:
     """Write the set of stimuli."""
-    from morphspace.sets.complete import write_set
+    from morphspace.sets.stimulus_set import write_set
 
     planned = yield from plan(request)
     return (yield from write_set(planned, request.output))
@@ -98,7 +98,7 @@ def run(request: CaricatureRequest) -> Steps[Outcome]:
 def plan(request: CaricatureRequest, model: MorphModel | None = None) -> Steps[PlannedSet]:
     """Read and check all inputs without drawing; `model` is the open model, or None."""
     from morphspace.model.model import load_model
-    from morphspace.sets.planned import plan_of
+    from morphspace.sets.plan import plan_of
     from morphspace.sets.sources import faces_of
 
     model = model or load_model(request.model)

@@ -19,7 +19,7 @@ from morphspace.settings import Argument, Help, Option
 if TYPE_CHECKING:
     from morphspace.model.model import MorphModel
     from morphspace.outcome import Outcome
-    from morphspace.sets.planned import PlannedSet
+    from morphspace.sets.plan import PlannedSet
     from morphspace.steps import Steps
 
 EQUAL = 0.03  # share of the mean step; steps that deviate more are not reported as equal
@@ -71,8 +71,8 @@ class ContinuumRequest:
 
 def run(request: ContinuumRequest) -> Steps[Outcome]:
     """Write the set of stimuli."""
-    from morphspace.sets.complete import write_set
     from morphspace.sets.continuum import STEPS_NAME, unevenness_of
+    from morphspace.sets.stimulus_set import write_set
 
     planned = yield from plan(request)
     outcome = yield from write_set(planned, request.output)
@@ -100,7 +100,7 @@ def plan(request: ContinuumRequest, model: MorphModel | None = None) -> Steps[Pl
         measured_steps,
         spaced_series,
     )
-    from morphspace.sets.planned import PlannedSet
+    from morphspace.sets.plan import PlannedSet
     from morphspace.sets.protect import files_named
     from morphspace.stimuli.continuum import even_positions, given_positions
 

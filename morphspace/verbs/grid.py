@@ -15,7 +15,7 @@ from morphspace.verbs.sweep import amount_words
 if TYPE_CHECKING:
     from morphspace.model.model import MorphModel
     from morphspace.outcome import Outcome
-    from morphspace.sets.planned import PlannedSet
+    from morphspace.sets.plan import PlannedSet
     from morphspace.steps import Steps
 
 Component = Annotated[int, Ge(1), Le(10_000)]
@@ -40,7 +40,7 @@ class GridRequest:
 
 def run(request: GridRequest) -> Steps[Outcome]:
     """Write the set of stimuli."""
-    from morphspace.sets.complete import write_set
+    from morphspace.sets.stimulus_set import write_set
 
     planned = yield from plan(request)
     return (yield from write_set(planned, request.output))
@@ -56,7 +56,7 @@ def plan(request: GridRequest, model: MorphModel | None = None) -> Steps[Planned
     import numpy as np
 
     from morphspace.model.model import load_model
-    from morphspace.sets.planned import plan_of
+    from morphspace.sets.plan import plan_of
     from morphspace.stimuli.drawing import Drawing
 
     yield from ()

@@ -20,7 +20,7 @@ from morphspace.settings import Help, Option
 if TYPE_CHECKING:
     from morphspace.model.model import MorphModel
     from morphspace.outcome import Outcome
-    from morphspace.sets.planned import PlannedSet
+    from morphspace.sets.plan import PlannedSet
     from morphspace.steps import Steps
 
 
@@ -45,7 +45,7 @@ class PlaceRequest:
 
 def run(request: PlaceRequest) -> Steps[Outcome]:
     """Write the set of stimuli."""
-    from morphspace.sets.complete import write_set
+    from morphspace.sets.stimulus_set import write_set
 
     planned = yield from plan(request)
     return (yield from write_set(planned, request.output))
@@ -61,7 +61,7 @@ def plan(request: PlaceRequest, model: MorphModel | None = None) -> Steps[Planne
     from morphspace.model.model import load_model
     from morphspace.sets.kept import aligned_clip, digest_of_kept, encoded_clip
     from morphspace.sets.manifest import Column
-    from morphspace.sets.planned import plan_of
+    from morphspace.sets.plan import plan_of
     from morphspace.sets.sources import (
         FRAME_RATE_HZ,
         Faces,

@@ -13,7 +13,7 @@ from morphspace.settings import Argument, Help, NotAnOption, Option
 if TYPE_CHECKING:
     from morphspace.model.model import MorphModel
     from morphspace.outcome import Outcome
-    from morphspace.sets.planned import PlannedSet
+    from morphspace.sets.plan import PlannedSet
     from morphspace.steps import Steps
 
 
@@ -37,7 +37,7 @@ class RenderRequest:
 
 def run(request: RenderRequest) -> Steps[Outcome]:
     """Draw the faces and write them."""
-    from morphspace.sets.complete import write_set
+    from morphspace.sets.stimulus_set import write_set
 
     video = next((one for one in VIDEO_SUFFIXES if one == request.output.suffix.lower()), None)
     if request.output.suffix and video is None and not request.output.is_dir():
@@ -58,7 +58,7 @@ def plan(request: RenderRequest, model: MorphModel | None = None) -> Steps[Plann
     """Read and check all inputs without drawing; `model` is the open model, or None."""
     from morphspace.io.images import picture_names
     from morphspace.model.model import load_model
-    from morphspace.sets.planned import plan_of
+    from morphspace.sets.plan import plan_of
     from morphspace.sets.sources import faces_of
     from morphspace.stimuli.caricature import caricatured
     from morphspace.stimuli.drawing import Drawing
@@ -97,8 +97,8 @@ def _lone_video(planned: PlannedSet, output: Path) -> Steps[Outcome]:
     """Write the only video of a set under its own name, with its sidecar and record beside it."""
     from morphspace.outcome import RECORD_NAME, Outcome, write_record
     from morphspace.report.set_page import CLIPPED_PERCENT
-    from morphspace.sets.draw import make_stimulus
     from morphspace.sets.protect import Output, writing
+    from morphspace.sets.stimulus import make_stimulus
     from morphspace.steps import Step, worker_count
 
     (drawing,) = planned.drawings

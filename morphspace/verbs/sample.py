@@ -12,7 +12,7 @@ from morphspace.settings import Help, Option
 if TYPE_CHECKING:
     from morphspace.model.model import MorphModel
     from morphspace.outcome import Outcome
-    from morphspace.sets.planned import PlannedSet
+    from morphspace.sets.plan import PlannedSet
     from morphspace.steps import Steps
 
 
@@ -34,7 +34,7 @@ class SampleRequest:
 
 def run(request: SampleRequest) -> Steps[Outcome]:
     """Write the set of stimuli."""
-    from morphspace.sets.complete import write_set
+    from morphspace.sets.stimulus_set import write_set
 
     planned = yield from plan(request)
     return (yield from write_set(planned, request.output))
@@ -50,7 +50,7 @@ def plan(request: SampleRequest, model: MorphModel | None = None) -> Steps[Plann
     import numpy as np
 
     from morphspace.model.model import load_model
-    from morphspace.sets.planned import plan_of
+    from morphspace.sets.plan import plan_of
     from morphspace.stimuli.drawing import Drawing
     from morphspace.stimuli.sampling import drawn_sd
 

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from morphspace.arrays import AnyArray
     from morphspace.model.model import MorphModel
     from morphspace.outcome import Outcome
-    from morphspace.sets.planned import PlannedSet
+    from morphspace.sets.plan import PlannedSet
     from morphspace.steps import Steps
     from morphspace.stimuli.drawing import Drawing
 
@@ -44,7 +44,7 @@ class SweepRequest:
 
 def run(request: SweepRequest) -> Steps[Outcome]:
     """Write the set of stimuli: for each component, pictures pcNNN_AMOUNTsd and a video pcNNN."""
-    from morphspace.sets.complete import write_set
+    from morphspace.sets.stimulus_set import write_set
 
     planned = yield from plan(request)
     return (yield from write_set(planned, request.output))
@@ -55,7 +55,7 @@ def plan(request: SweepRequest, model: MorphModel | None = None) -> Steps[Planne
     import numpy as np
 
     from morphspace.model.model import load_model
-    from morphspace.sets.planned import plan_of
+    from morphspace.sets.plan import plan_of
 
     yield from ()
     model = model or load_model(request.model)

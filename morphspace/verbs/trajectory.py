@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from morphspace.model.model import MorphModel
     from morphspace.outcome import Outcome
     from morphspace.sets.motions import MadeMotions
-    from morphspace.sets.planned import PlannedSet
+    from morphspace.sets.plan import PlannedSet
     from morphspace.steps import Steps
 
 
@@ -67,7 +67,7 @@ TrajectoryRequest.__doc__ = f"{inspect.cleandoc(TrajectoryRequest.__doc__ or '')
 
 def run(request: TrajectoryRequest) -> Steps[Outcome]:
     """Write the set of stimuli, or the table."""
-    from morphspace.sets.complete import write_set
+    from morphspace.sets.stimulus_set import write_set
 
     if request.output.suffix.lower() == ".csv":
         return (yield from _write_table(request))
@@ -82,7 +82,7 @@ def run(request: TrajectoryRequest) -> Steps[Outcome]:
 def plan(request: TrajectoryRequest, model: MorphModel | None = None) -> Steps[PlannedSet]:
     """Read and check all inputs without drawing; `model` is the open model, or None."""
     from morphspace.sets.motions import COLUMNS, told_of
-    from morphspace.sets.planned import plan_of
+    from morphspace.sets.plan import plan_of
     from morphspace.sets.sources import motion_name
     from morphspace.stimuli.drawing import Drawing
 

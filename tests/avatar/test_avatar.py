@@ -15,12 +15,12 @@ from morphspace.avatar.blend import Mixer
 from morphspace.avatar.build import NEAR
 from morphspace.avatar.common_grid import CommonFace, common_face, placed, places_on
 from morphspace.avatar.notes import notes_on
-from morphspace.avatar.prepared import studio_of
 from morphspace.avatar.selection import labels_of, model_key, spread_out
 from morphspace.avatar.settings import Expression, shares_of
 from morphspace.avatar.sharpness import curve, mean_curve, sharpened, sharpness
+from morphspace.avatar.skin import inside_outline, skin_share
+from morphspace.avatar.studio import studio_of
 from morphspace.avatar.versions import LEAST, Gaps, Version, falling
-from morphspace.avatar.visible import inside_outline, skin_share
 from morphspace.cli.main import main
 from morphspace.errors import BadInput
 from morphspace.face.faceframe import FaceFrame

@@ -10,10 +10,10 @@ import pytest
 from morphspace.avatar import AvatarSettings, blend_steps
 from morphspace.avatar.bands import changed, detail_of, strength
 from morphspace.avatar.common_grid import around
-from morphspace.avatar.prepared import studio_of
 from morphspace.avatar.sharpness import curve
+from morphspace.avatar.skin import inside_outline, skin_share
+from morphspace.avatar.studio import studio_of
 from morphspace.avatar.versions import Cast, Version, believed
-from morphspace.avatar.visible import inside_outline, skin_share
 from morphspace.requests import settings_in
 from morphspace.steps import result_of
 from morphspace.verbs.blend_avatar import BlendAvatarRequest

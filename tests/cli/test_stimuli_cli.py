@@ -15,8 +15,8 @@ from morphspace.io.tables import read_loadings_table
 from morphspace.model.encode import framed_for
 from morphspace.model.loadings import Loadings
 from morphspace.model.model import load_model
-from morphspace.sets.draw import make_stimulus
 from morphspace.sets.kept import digest_of_kept, encoded_clip
+from morphspace.sets.stimulus import make_stimulus
 from morphspace.steps import result_of
 from morphspace.verbs import caricature
 from morphspace.verbs.caricature import CaricatureRequest

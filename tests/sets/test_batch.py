@@ -22,7 +22,7 @@ from morphspace.errors import BadInput, MorphspaceError
 from morphspace.io.tables import read_loadings_table, read_metrics_table, write_loadings_table
 from morphspace.model.loadings import Loadings
 from morphspace.sets import batch, pool
-from morphspace.sets.draw import make_stimulus
+from morphspace.sets.stimulus import make_stimulus
 from morphspace.steps import result_of
 from morphspace.verbs import batch as verb
 from morphspace.verbs.batch import BatchRequest

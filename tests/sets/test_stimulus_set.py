@@ -24,9 +24,9 @@ from morphspace.model.morph import Morph
 from morphspace.outcome import versions
 from morphspace.report.set_page import sheet_columns
 from morphspace.requests import told_path
-from morphspace.sets.complete import flagged, notes_on, write_set
 from morphspace.sets.manifest import Column
-from morphspace.sets.planned import PlannedSet, check_names, plan_of
+from morphspace.sets.plan import PlannedSet, check_names, plan_of
+from morphspace.sets.stimulus_set import flagged, notes_on, write_set
 from morphspace.steps import result_of
 from morphspace.stimuli.drawing import Drawing
 from morphspace.stimuli.image_statistics import image_statistics
@@ -181,9 +181,9 @@ def test_what_is_done_is_kept_and_what_is_not_is_made(folder, pictures, tmp_path
     (output / f"{names[2]}.png").write_bytes(b"cut short")
     (output / f"{names[3]}.json").write_text('{"format": "morphspace-stimulus", "version": 1}')
     drawn = []
-    draw = importlib.import_module("morphspace.sets.draw").draw_file
+    draw = importlib.import_module("morphspace.sets.stimulus").draw_file
     monkeypatch.setattr(
-        "morphspace.sets.draw.draw_file",
+        "morphspace.sets.stimulus.draw_file",
         lambda model, drawing, *rest: drawn.append(drawing.name) or draw(model, drawing, *rest),
     )
     made(folder, output, gains=(0.5, 1.0, 2.0))
@@ -640,7 +640,7 @@ def test_replay_names_an_entry_that_was_edited(folder, pictures, tmp_path, entry
 
 def test_replay_says_other_versions_that_gave_the_same_bytes(folder, tmp_path, monkeypatch):
     elsewhere = {**versions(), "numpy": "1.0.0"}
-    monkeypatch.setattr("morphspace.sets.planned.versions", lambda: elsewhere)
+    monkeypatch.setattr("morphspace.sets.plan.versions", lambda: elsewhere)
     made(folder, tmp_path, gains=(1.0,), frames=("frame_001",))
     outcome = result_of(replay.run(ReplayRequest(tmp_path / "frame_001_g1.json", folder / "a.morph")))
     assert outcome.document["same"] and outcome.document["differences"] == []

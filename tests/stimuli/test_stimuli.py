@@ -8,7 +8,7 @@ import pytest
 
 from morphspace.errors import BadInput
 from morphspace.face.faceframe import FaceFrame
-from morphspace.sets.complete import notes_on
+from morphspace.sets.stimulus_set import notes_on
 from morphspace.stimuli.caricature import caricatured, components_named
 from morphspace.stimuli.drawing import Drawing, Placing, check_name, drawing_of
 from morphspace.stimuli.drawn import draw, mask_of, morph_at

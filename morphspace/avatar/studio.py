@@ -13,7 +13,6 @@ from morphspace.arrays import AnyArray, Image
 from morphspace.avatar.blend import Mixer
 from morphspace.avatar.common_grid import CommonFace, common_face, mean_faceframe, places_on, version_picture
 from morphspace.avatar.mouth import Matcher
-from morphspace.avatar.originals import originals_of
 from morphspace.avatar.selection import labels_of, model_key, nearest_to_all, spread_out
 from morphspace.avatar.settings import (
     EXPRESSION,
@@ -26,6 +25,7 @@ from morphspace.avatar.settings import (
     method_of,
     shares_of,
 )
+from morphspace.avatar.source_frames import originals_of
 from morphspace.avatar.versions import Cast, Show, Version
 from morphspace.errors import BadInput
 from morphspace.face.faceframe import FaceFrame

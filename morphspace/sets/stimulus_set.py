@@ -16,10 +16,10 @@ from morphspace.outcome import RECORD_NAME, Outcome, versions, write_record_of
 from morphspace.report.frames import small
 from morphspace.report.set_page import CLIPPED_PERCENT, FOLDED_PERCENT, StimulusSet, places_shown, set_page
 from morphspace.requests import VIDEO_SUFFIXES
-from morphspace.sets.draw import make_stimulus
 from morphspace.sets.manifest import Column, write_manifest
-from morphspace.sets.planned import PlannedSet, keep_model
+from morphspace.sets.plan import PlannedSet, keep_model
 from morphspace.sets.protect import set_output, writing
+from morphspace.sets.stimulus import make_stimulus
 from morphspace.steps import Step, Steps, in_order, worker_count
 from morphspace.stimuli.drawing import PICTURE_SUFFIXES, Drawing
 from morphspace.stimuli.image_statistics import FIGURES, SPACES
