@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-import html
 from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +14,7 @@ from morphspace.io.clips import open_clip
 from morphspace.io.images import write_image
 from morphspace.io.video import write_video
 from morphspace.model.model import MorphModel
+from morphspace.report.page import render
 from morphspace.steps import Step, Steps, in_order
 from morphspace.stimuli.sampling import along
 from morphspace.storage import make_folder, write_text
@@ -56,73 +57,20 @@ def demo_pictures(model: MorphModel, clip_folder: Path, folder: Path) -> Steps[N
         yield Step("pictures", count, total)
 
 
-def demo_section(name: str, figures: Mapping[str, Any]) -> str:
-    """Return the section of one model, from the figures that `build-model` returns."""
-    sweeps = "\n".join(
-        f'<figure><img src="{name}/pc{i}.png" alt="component {i} from -2 to +2 SD"><figcaption>Component {i}: '
-        f"{SWEPT_SD[0]:+g} to {SWEPT_SD[-1]:+g} SD</figcaption></figure>"
-        for i in range(1, 1 + min(SWEPT, int(figures["components"])))
-    )
-    return SECTION.format(
-        name=html.escape(name),
-        frames=figures["frames"],
-        components=figures["components"],
-        share=figures["variance_explained"],
-        psnr=figures["psnr_db_median"],
-        gain=CARICATURE_GAIN,
-        sweeps=sweeps,
-    )
+@dataclass(frozen=True, eq=False)
+class DemoPage:
+    """The page: the document of `build-model` for each model, by name."""
+
+    models: Mapping[str, Mapping[str, Any]]
+    title: str = "morphspace: what a model of a face can do"
+    gain: float = CARICATURE_GAIN
+    swept_sd: tuple[float, ...] = SWEPT_SD
+
+    def swept(self, figures: Mapping[str, Any]) -> int:
+        """Return the number of components of a model that are swept."""
+        return min(SWEPT, int(figures["components"]))
 
 
-SECTION = """<section>
-<h2>{name}</h2>
-<p>{frames} frames, {components} components, {share:.0%} of the variance; frames are reconstructed at {psnr:.1f} dB.
-<a href="{name}.html">The build report</a>, <a href="{name}.morph">the model</a>.</p>
-<figure><img src="{name}/frames.png" alt="eight frames of the clip"><figcaption>Frames of the clip</figcaption></figure>
-<figure><img src="{name}/reconstructed.png" alt="the same frames, reconstructed"><figcaption>The same frames,
-reconstructed from {components} loadings</figcaption></figure>
-<figure><img src="{name}/caricature.png" alt="the same frames, exaggerated"><figcaption>Caricature: all loadings times
-{gain}</figcaption></figure>
-<div class="videos">
-<figure><video src="{name}/veridical.mp4" controls autoplay loop muted playsinline></video>
-<figcaption>Gain 1</figcaption></figure>
-<figure><video src="{name}/caricature.mp4" controls autoplay loop muted playsinline></video>
-<figcaption>Gain {gain}</figcaption></figure>
-</div>
-{sweeps}
-<figure><img src="{name}/random.png" alt="eight random faces"><figcaption>Faces drawn at random from the
-model</figcaption></figure>
-</section>"""
-
-PAGE = """<!DOCTYPE html>
-<html lang="en">
-<head>
-<meta charset="utf-8">
-<meta name="viewport" content="width=device-width, initial-scale=1">
-<title>morphspace demo</title>
-<style>
-body {{ font: 16px/1.5 Georgia, serif; color: #222; background: #faf9f7; max-width: 1100px; margin: 2rem auto;
-  padding: 0 1rem; }}
-h1, h2 {{ font-weight: normal; }}
-h2 {{ margin-top: 3rem; border-top: 1px solid #ccc; padding-top: 1rem; }}
-figure {{ margin: 0 0 1rem; }}
-figcaption {{ font-size: 14px; color: #555; }}
-img {{ width: 100%; display: block; }}
-.videos {{ display: flex; gap: 1rem; flex-wrap: wrap; }}
-video {{ width: 300px; max-width: 100%; }}
-code {{ background: #efece6; padding: 0 .25em; }}
-</style>
-</head>
-<body>
-<h1>morphspace: what a model of a face can do</h1>
-<p>The actors are drawn; the portrait is scikit-image's public-domain sample.
-With your own frames: <code>morphspace build-model clips/*.png</code>.</p>
-{sections}
-</body>
-</html>
-"""
-
-
-def write_demo_page(path: Path, sections: list[str]) -> None:
-    """Write the page of all models."""
-    write_text(path, PAGE.format(sections="\n".join(sections)))
+def write_demo_page(path: Path, models: Mapping[str, Mapping[str, Any]]) -> None:
+    """Write the page of all models, from the documents that `build-model` returns."""
+    write_text(path, render("demo.html", DemoPage(models)))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import base64
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import TypeVar
 
@@ -27,6 +27,7 @@ Face = TypeVar("Face", Morph, MorphOffset)
 JPEG_QUALITY = 88  # errors are invisible on faces of this size, and pages stay below a few megabytes
 STRIP_WIDTH_PX = 160  # px; width of a component's pictures, which are drawn at this size
 STRIP_AMOUNTS_SD = (-2, -1, 0, 1, 2)
+PANEL_GAP_PX = 4  # px between the panels of a video
 GAP_PX = 3  # px between the two pictures of a contact sheet
 FOLD_SIDE_PX = 300  # px; smaller fold maps are drawn at twice the size, so that single cells are visible
 FINER = 4  # factor of enlargement for the outline of a mask, which avoids steps
@@ -210,3 +211,26 @@ def marked_face(mean: Image, faceframe: FaceFrame) -> Image:
             cv2.putText(out, letter, place, cv2.FONT_HERSHEY_SIMPLEX, 0.5, ink, thickness, cv2.LINE_AA)
         cv2.circle(out, (x, y), 1, colour, -1)
     return out.astype(np.float32) / np.float32(255)
+
+
+def panels_of(images: Sequence[Image], height: int) -> Image:
+    """Put pictures (h, w, 3) side by side at one height, px, with white gaps, as a frame of a video."""
+    gap = np.ones((height, PANEL_GAP_PX, 3), np.float32)
+    return np.concatenate([part for image in images for part in (gap, of_height(image, height))][1:], axis=1)
+
+
+def of_height(image: Image, height: int) -> Image:
+    """Resize a picture (h, w, 3) to this height, px; its proportions stay."""
+    return _scaled_to(image, max(1, round(image.shape[1] * height / image.shape[0])), height)
+
+
+def of_width(image: Image, width: int) -> Image:
+    """Resize a picture (h, w, 3) to this width, px; its proportions stay."""
+    return _scaled_to(image, width, max(1, round(image.shape[0] * width / image.shape[1])))
+
+
+def _scaled_to(image: Image, width: int, height: int) -> Image:
+    if image.shape[:2] == (height, width):
+        return image
+    method = cv2.INTER_AREA if height < image.shape[0] else cv2.INTER_CUBIC
+    return np.asarray(np.clip(cv2.resize(image, (width, height), interpolation=method), 0, 1), np.float32)

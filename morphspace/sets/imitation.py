@@ -6,7 +6,6 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-import cv2
 import numpy as np
 
 from morphspace.arrays import Image, LoadingTable
@@ -39,6 +38,7 @@ from morphspace.model.model import MorphModel
 from morphspace.outcome import RECORD_NAME, versions, write_record
 from morphspace.report.advice.imitation import chance_words, mean_apart, size_words, strange_words
 from morphspace.report.imitation_page import MeasuredImitation, imitation_page
+from morphspace.report.pictures import panels_of
 from morphspace.sets.mimicry import VIDEO_NAME
 from morphspace.sets.sources import FRAME_RATE_HZ
 from morphspace.steps import Step, Steps, in_order
@@ -69,7 +69,6 @@ NOT_ON_PAGE = (
     "least_p",
 )  # not listed as settings
 PAIRS_SHOWN = 8
-GAP_PX = 4  # between the panels of the video
 
 
 @dataclass(frozen=True)
@@ -288,23 +287,11 @@ def _drawn(
             if index in sampled:
                 label = f"{index / rate_hz:.2f} s" if rate_hz else f"frame {index}"
                 pairs.append((label, images[left], images[left + 1]))
-            gap = np.ones((height, GAP_PX, 3), np.float32)
-            parts = [part for image in images for part in (gap, of_height(image, height))][1:]
-            yield np.concatenate(parts, axis=1)
+            yield panels_of(images, height)
 
     write_video(path, frames(), frame_rate_hz=rate_hz or FRAME_RATE_HZ, encoding="people")
     yield Step("video", n, n)
     return tuple(name for name, _ in rows), pairs
-
-
-def of_height(image: Image, height: int) -> Image:
-    """Resize a picture (h, w, 3) to this height, px, with its proportions kept."""
-    if image.shape[0] == height:
-        return image
-    width = max(1, round(image.shape[1] * height / image.shape[0]))
-    method = cv2.INTER_AREA if height < image.shape[0] else cv2.INTER_CUBIC
-    scaled = cv2.resize(image, (width, height), interpolation=method)
-    return np.asarray(np.clip(scaled, 0, 1), np.float32)
 
 
 def _settings_words(

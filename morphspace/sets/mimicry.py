@@ -13,7 +13,6 @@ from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any, Literal, cast
 
-import cv2
 import numpy as np
 
 from morphspace import cache
@@ -29,6 +28,7 @@ from morphspace.model.model import MorphModel
 from morphspace.outcome import RECORD_NAME, versions, write_record
 from morphspace.report.advice import mimicry as advice
 from morphspace.report.mimic_page import PAIRS_SHOWN, MimicryResult, mimic_page
+from morphspace.report.pictures import of_width, panels_of
 from morphspace.report.set_page import CLIPPED_PERCENT
 from morphspace.sets.models import check_landmarks
 from morphspace.sets.protect import Output, check_apart, check_inputs
@@ -63,7 +63,6 @@ MIMIC_FILES = (
 )
 WORK_FOLDER = "mimic.work"  # finished frames of a stopped run
 WORK_FORMAT = "morphspace-mimic-frame-4"
-GAP_PX = 4  # between the panels of the video
 THUMBNAIL_WIDTH_PX = 132
 
 
@@ -177,35 +176,13 @@ def video_steps(
         for place, (picture, path) in enumerate(zip(sources, pictures, strict=True)):
             mimicry = read_image(path)
             if place in sampled:
-                pairs.append(
-                    (
-                        driver.names[place],
-                        _of_width(picture, THUMBNAIL_WIDTH_PX),
-                        _of_width(mimicry, THUMBNAIL_WIDTH_PX),
-                    )
-                )
-            gap = np.ones((mimicry.shape[0], GAP_PX, 3), np.float32)
-            yield np.concatenate([_of_height(picture, mimicry.shape[0]), gap, mimicry], axis=1)
+                small = of_width(picture, THUMBNAIL_WIDTH_PX), of_width(mimicry, THUMBNAIL_WIDTH_PX)
+                pairs.append((driver.names[place], *small))
+            yield panels_of((picture, mimicry), mimicry.shape[0])
 
     write_video(video, frames(), frame_rate_hz=driver.rate_hz or FRAME_RATE_HZ, encoding="people")
     yield Step("video", total, total)
     return pairs
-
-
-def _of_width(image: Image, width: int) -> Image:
-    """Resize an image (h, w, 3) to this width, px."""
-    height = max(1, round(image.shape[0] * width / image.shape[1]))
-    method = cv2.INTER_AREA if width < image.shape[1] else cv2.INTER_CUBIC
-    scaled = cv2.resize(image, (width, height), interpolation=method)
-    return np.asarray(np.clip(scaled, 0, 1), np.float32)
-
-
-def _of_height(image: Image, height: int) -> Image:
-    if image.shape[0] == height:
-        return image
-    width = max(1, round(image.shape[1] * height / image.shape[0]))
-    method = cv2.INTER_AREA if height < image.shape[0] else cv2.INTER_CUBIC
-    return np.asarray(cv2.resize(image, (width, height), interpolation=method), np.float32)
 
 
 @dataclass(frozen=True, eq=False)

@@ -35,7 +35,7 @@ def run(request: DemoRequest) -> Steps[Outcome]:
     from morphspace import synthetic
     from morphspace.model.model import load_model
     from morphspace.outcome import RECORD_NAME, Outcome, write_record
-    from morphspace.report.demo_page import demo_pictures, demo_section, write_demo_page
+    from morphspace.report.demo_page import demo_pictures, write_demo_page
     from morphspace.sets.protect import Output, writing
     from morphspace.verbs import build_model, make_actors
 
@@ -49,7 +49,7 @@ def run(request: DemoRequest) -> Steps[Outcome]:
                 folder / "actors", identities=IDENTITIES, portraits=PORTRAITS, frames=FRAMES, seed=SEED
             )
         )
-        sections, written = [], [page]
+        models, written = {}, [page]
         for name in names:
             clip, output = folder / "actors" / name, folder / f"{name}.morph"
             built = yield from build_model.run(
@@ -63,8 +63,8 @@ def run(request: DemoRequest) -> Steps[Outcome]:
             written += built.written
             yield from demo_pictures(load_model(output), clip, folder / name)
             written += sorted((folder / name).iterdir())
-            sections.append(demo_section(name, built.document))
-        write_demo_page(page, sections)
+            models[name] = built.document
+        write_demo_page(page, models)
         record = write_record(folder, "demo", {}, {}, written)
     lines = (f"{page}: open it in a browser",)
     return Outcome(lines, {"page": str(page), "actors": list(names)}, (), (*written, record))

@@ -10,9 +10,9 @@ from morphspace.avatar import AvatarSettings
 from morphspace.avatar.build import _nearest_to_rest, checked, told_together
 from morphspace.avatar.notes import notes_on
 from morphspace.avatar.pair import pair_model
-from morphspace.avatar.prepared import studio_of
 from morphspace.avatar.selection import nearest_to_all
 from morphspace.avatar.settings import Expression, check_models, identity_at, method_of, shares_of
+from morphspace.avatar.studio import studio_of
 from morphspace.avatar.versions import Version
 from morphspace.errors import BadInput
 from morphspace.face.faceframe import FaceFrame

@@ -21,10 +21,10 @@ from morphspace.avatar.common_grid import (
 )
 from morphspace.avatar.distances import mean_face_distances
 from morphspace.avatar.notes import gaze
-from morphspace.avatar.prepared import studio_of
 from morphspace.avatar.sharpness import Curve, curve, detail, mean_curve, sharpened
+from morphspace.avatar.skin import disc, filled, inside_outline, skin_share
+from morphspace.avatar.studio import studio_of
 from morphspace.avatar.versions import Cast, Gaps, Version, believed, falling
-from morphspace.avatar.visible import disc, filled, inside_outline, skin_share
 from morphspace.cache import result_file, write_result
 from morphspace.errors import BadInput
 from morphspace.face.mesh import FACE_OUTLINE, POINT_COUNT

@@ -5,7 +5,16 @@ import numpy as np
 
 from morphspace.grid.warp import determinants
 from morphspace.model.morph import Morph
-from morphspace.report.pictures import STRIP_WIDTH_PX, confidence_chart, fold_chart, shrunk_morph
+from morphspace.report.pictures import (
+    PANEL_GAP_PX,
+    STRIP_WIDTH_PX,
+    confidence_chart,
+    fold_chart,
+    of_height,
+    of_width,
+    panels_of,
+    shrunk_morph,
+)
 
 
 def test_fold_map_marks_what_folds(build):
@@ -50,3 +59,19 @@ def test_shrinking_a_morph_shrinks_its_picture():
     error = (small.render() - whole)[10:-10, 10:-10]
     assert np.abs(error).max() < 0.01  # colour; a field that is not scaled misses by 0.1
     assert shrunk_morph(small) is small
+
+
+def test_a_resized_picture_keeps_its_proportions():
+    picture = np.full((30, 20, 3), 0.5, np.float32)
+    assert of_height(picture, 60).shape == (60, 40, 3)
+    assert of_height(picture, 10).shape == (10, 7, 3)
+    assert of_width(picture, 40).shape == (60, 40, 3)
+    assert of_height(picture, 30) is picture and of_width(picture, 20) is picture
+
+
+def test_panels_have_one_height_and_a_white_gap():
+    first, second = np.full((30, 20, 3), 0.25, np.float32), np.full((60, 20, 3), 0.75, np.float32)
+    frame = panels_of((first, second), 30)
+    assert frame.shape == (30, 20 + PANEL_GAP_PX + 10, 3)
+    assert (frame[:, :20] == 0.25).all() and (frame[:, 20 : 20 + PANEL_GAP_PX] == 1).all()
+    np.testing.assert_allclose(frame[:, 20 + PANEL_GAP_PX :], 0.75, atol=1e-6)

@@ -88,7 +88,7 @@ def test_a_painted_region_of_another_size_is_refused(model):
     drawing = Drawing(
         "a", LOADINGS[:1], region="mask.png", outside_sd=LOADINGS[1:], region_mask=np.ones((5, 6))
     )
-    with pytest.raises(BadInput, match=r"mask\.png is 6x5, .* 60x72"):
+    with pytest.raises(BadInput, match=r"mask\.png is 6x5; expected 60x72"):
         only(model, drawing)
 
 
@@ -169,7 +169,7 @@ def test_drawings_that_do_not_fit_together_are_refused(entries, said):
 
 
 def test_more_loadings_than_components_are_refused(model):
-    with pytest.raises(BadInput, match=r"4 loadings .* 3 components"):
+    with pytest.raises(BadInput, match="4 loadings; expected at most 3"):
         only(model, Drawing("a", np.zeros((1, 4))))
 
 

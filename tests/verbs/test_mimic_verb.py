@@ -894,7 +894,7 @@ def test_damaged_networks_are_told_from_missing_ones(work, actor, tmp_path, monk
 
 def test_the_number_of_components_is_named_where_it_keeps_the_motion_back(work):
     (note,) = (n for n in run(work, components=1, gain=1.0).warnings if "of the motion's energy" in n)
-    assert "by 1 of its 2 components" in note and "-k" in note
+    assert "with 1 of its 2 components" in note and "-k" in note
 
 
 def test_a_share_is_the_same_in_the_line_and_in_the_note(work, monkeypatch):
