@@ -58,10 +58,10 @@ def figures(drawn_anna, drawn_ben):
 @pytest.mark.parametrize(
     ("name", "expected"),
     [
-        ("outline area", 0.2879),  # visible.INSIDE_OUTLINE: + 17 %, none
-        ("outline edge", 0.0310),  # visible.EDGE: - 85 %, + 425 %
+        ("outline area", 0.2879),  # skin.INSIDE_OUTLINE: + 17 %, none
+        ("outline edge", 0.0310),  # skin.EDGE: - 85 %, + 425 %
         ("hair area", 0.8854),  # AROUND_HAIR: + 3, - 36 %; ABOVE_BROWS: - 2, + 6 %; HAIR: + 6 %; SKIN: - 27 %
-        ("hair edge", 0.0151),  # visible.SOFT: - 88 %, + 90 %
+        ("hair edge", 0.0151),  # skin.SOFT: - 88 %, + 90 %
         ("surround area", 0.6126),  # common_grid.NEXT_TO_MASK: - 20 %, + 63 %
         ("mouth area", 0.0404),  # mouth.AROUND_LIPS: - 23 %, + 940 %
         ("mouth edge", 0.00617),  # mouth.SOFT: - 72 %, + 450 %
