@@ -115,4 +115,4 @@ def _sharpness(share: float, asked: float | None) -> list[str]:
         return [f"{figure}. --sharpen auto chooses the amount for that"]
     if share < low:
         return [f"{figure}. A stronger mask than {MOST_SHARPEN:g} would draw rings around edges"]
-    return [f"{figure}. Without sharpening it is no softer. Check the pictures on the page"]
+    return [f"{figure}. It was sharpened no more than necessary. Check the pictures on the page"]

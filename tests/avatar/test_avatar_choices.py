@@ -148,8 +148,8 @@ def test_a_blend_is_as_sharp_from_85_to_120_percent(model, share, is_said):
     people = [person(model, 50.0), person(model, 51.0, "ben")]
     notes = " ".join(said(people, share))
     assert ("as sharp as its sources" in notes) == is_said
-    assert ("would ring at edges" in notes) == (share == 0.84)
-    assert ("nothing was sharpened" in notes) == (share == 1.21)
+    assert ("would draw rings around edges" in notes) == (share == 0.84)
+    assert ("no more than necessary" in notes) == (share == 1.21)
     assert ("--sharpen auto" in " ".join(said(people, share, sharpen=1.0))) == is_said
 
 
@@ -171,7 +171,7 @@ def test_irises_a_tenth_of_an_eye_apart_are_told(model, right_px, is_said):
 def test_who_takes_no_part_repeats_or_shares_a_name_is_told(model):
     anna, ben = person(model, 50.0), person(model, 51.0, "ben")
     assert not [note for note in said([anna, ben]) if "mesh points" not in note]
-    assert "ben: weight 0" in " ".join(said([anna, ben], weights=(1, 0)))
+    assert "the weight of ben is 0" in " ".join(said([anna, ben], weights=(1, 0)))
     assert "only one identity has any weight" in " ".join(said([anna, ben], weights=(1, 0)))
     assert "only one" not in " ".join(said([anna, ben], weights=(1, 0), faceframe="source"))
     assert "2 of the models are of anna" in " ".join(said([anna, person(model, 52.0)]))
