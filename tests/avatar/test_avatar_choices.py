@@ -172,11 +172,11 @@ def test_who_takes_no_part_repeats_or_shares_a_name_is_told(model):
     anna, ben = person(model, 50.0), person(model, 51.0, "ben")
     assert not [note for note in said([anna, ben]) if "mesh points" not in note]
     assert "the weight of ben is 0" in " ".join(said([anna, ben], weights=(1, 0)))
-    assert "only one identity has any weight" in " ".join(said([anna, ben], weights=(1, 0)))
+    assert "only one identity has a weight above 0" in " ".join(said([anna, ben], weights=(1, 0)))
     assert "only one" not in " ".join(said([anna, ben], weights=(1, 0), faceframe="source"))
     assert "2 of the models are of anna" in " ".join(said([anna, person(model, 52.0)]))
-    assert "called ben, as one of its sources" in " ".join(said([anna, ben], provenance={"identity": "ben"}))
-    assert "called" not in " ".join(said([anna, ben], provenance={"identity": "dora"}))
+    assert "named ben, like one of its sources" in " ".join(said([anna, ben], provenance={"identity": "ben"}))
+    assert "is named" not in " ".join(said([anna, ben], provenance={"identity": "dora"}))
 
 
 @pytest.mark.parametrize(("count", "words"), [(2, "(e0, e1)"), (3, "(e0, e1, e2)"), (4, "(e0, e1, e2, ...)")])
