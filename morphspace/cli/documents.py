@@ -26,6 +26,7 @@ from morphspace.sets.folders import MARK
 from morphspace.sets.manifest import MANIFEST
 from morphspace.settings import Field, json_schemas
 from morphspace.storage import write_text
+from morphspace.transfer.quality_table import MIMICRY
 
 HEAD = """# Verbs
 
@@ -45,6 +46,7 @@ DOCUMENTS: tuple[Document[Any], ...] = (
     STIMULUS,
     MANIFEST,
     MEASURES,
+    MIMICRY,
     MARK,
     MODEL,
 )

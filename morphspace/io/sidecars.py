@@ -14,7 +14,7 @@ from typing import Annotated, Any, Literal, NotRequired, TypedDict
 import numpy as np
 
 from morphspace.arrays import Points
-from morphspace.documents import Document, FrameRate, Open, OrNull, Point, Size, entries_of
+from morphspace.documents import Document, FrameRate, Line, Open, OrNull, Point, Size, entries_of
 from morphspace.errors import BadInput
 from morphspace.settings import Help
 from morphspace.storage import json_text, write_text
@@ -33,7 +33,7 @@ Philtrum = Annotated[Point, Help("Centre of the philtrum, px.")]
 class FaceframeEntry(TypedDict):
     """The faceframe in a `clip.json`."""
 
-    frame: Annotated[str, Help("Name of the frame in which the points lie.")]
+    frame: Annotated[Line, Help("Name of the frame in which the points lie.")]
     right_eye: RightEye
     left_eye: LeftEye
     philtrum: Philtrum
@@ -42,7 +42,7 @@ class FaceframeEntry(TypedDict):
 class ClipDocument(TypedDict):
     """The entries of a `clip.json` (data_spec/clip-folder.md)."""
 
-    identity: NotRequired[Annotated[OrNull[str], Help("The person shown.")]]
+    identity: NotRequired[Annotated[OrNull[Line], Help("The person shown.")]]
     frame_rate_hz: NotRequired[OrNull[FrameRate]]
     consent: NotRequired[Annotated[OrNull[str], Help("What the person agreed to.")]]
     licence: NotRequired[Annotated[OrNull[str], Help("Terms of use of the pictures.")]]
@@ -54,7 +54,7 @@ class FaceframeDocument(TypedDict):
 
     format: Literal["morphspace-faceframe"]
     version: Literal[1]
-    image: Annotated[str, Help("Name of the picture in which the points were marked.")]
+    image: Annotated[Line, Help("Name of the picture in which the points were marked.")]
     size: NotRequired[Annotated[OrNull[Size], Help("[width, height] of the picture, px.")]]
     right_eye: RightEye
     left_eye: LeftEye

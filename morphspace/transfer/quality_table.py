@@ -8,16 +8,17 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, fields
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any, Literal, TypedDict
 
+from annotated_types import Ge, Gt
+
+from morphspace.documents import Columns, Digest, Document, FrameRate, ModelId, OrNull, Versions
 from morphspace.io.tables import write_metrics_table
 from morphspace.model.encode import STRANGE
 from morphspace.outcome import versions
 from morphspace.storage import json_text, write_text
 from morphspace.transfer.quality import Quality, Reach
 
-FORMAT = "morphspace-mimicry"
-VERSION = 1
 # Eye distances of missing motion at the features. In five pairs of people, 1 % of 360 frames are above it. With a
 # target of a single smile and a source that opens its mouth wide, three in four are.
 OUT_OF_RANGE = 0.10
@@ -90,6 +91,49 @@ DECIMALS = {
     "yaw_deg": 1,
     "pitch_deg": 1,
 }
+
+
+class UsedModelEntry(TypedDict):
+    """The source or the target."""
+
+    identity: str
+    model_id: ModelId
+    sha256: Digest
+
+
+class NeutralEntry(TypedDict):
+    """The neutral faces; a frame is null for the mean, a distance if a model has no mesh points."""
+
+    asked: str
+    source_frame: OrNull[str]
+    target_frame: OrNull[str]
+    means_apart: OrNull[float]
+    apart: OrNull[float]
+
+
+class Mimicry(TypedDict):
+    """The entries of quality.json (data_spec/mimicry.md)."""
+
+    format: Literal["morphspace-mimicry"]
+    version: Literal[1]
+    columns: Columns
+    source: UsedModelEntry
+    target: UsedModelEntry
+    driver: str
+    frames: Literal["clip", "training"]
+    frame_rate_hz: OrNull[FrameRate]
+    method: Literal["paper", "map", "transfer", "guided"]
+    gain: float
+    gain_asked: float | Literal["auto"]
+    max_sd: Annotated[float, Gt(0)]
+    components: Annotated[int, Ge(1)]
+    neutral: NeutralEntry
+    faces_looked_for: bool
+    notes: list[str]
+    versions: Versions
+
+
+MIMICRY = Document("mimicry", "morphspace mimicry, version 1: the JSON beside quality.csv", Mimicry)
 
 
 @dataclass(frozen=True)
@@ -190,8 +234,8 @@ def write_quality(
     table, beside = folder / "quality.csv", folder / "quality.json"
     write_metrics_table(table, columns)
     document = {
-        "format": FORMAT,
-        "version": VERSION,
+        "format": "morphspace-mimicry",
+        "version": 1,
         "columns": {
             name: {"unit": unit, "meaning": meaning}
             for name, (unit, meaning) in COLUMNS.items()

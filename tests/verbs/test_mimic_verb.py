@@ -47,7 +47,15 @@ from morphspace.transfer import neutral
 from morphspace.transfer.driver import Driver
 from morphspace.transfer.mimicry import MAX_SD, METHODS, auto_gain, mimic
 from morphspace.transfer.quality import Quality, Reach, reach_of
-from morphspace.transfer.quality_table import COLUMNS, DECIMALS, OUT_OF_RANGE, FaceSeen, FrameMade, made_of
+from morphspace.transfer.quality_table import (
+    COLUMNS,
+    DECIMALS,
+    MIMICRY,
+    OUT_OF_RANGE,
+    FaceSeen,
+    FrameMade,
+    made_of,
+)
 from morphspace.verbs import mimic as verb
 from morphspace.verbs.mimic import MimicRequest
 
@@ -202,7 +210,7 @@ def test_every_output_is_there_with_its_name_and_size(work, actor, other):
 def test_every_column_of_quality_is_described(work):
     run(work)
     table = read_metrics_table(work / "out" / "quality.csv")
-    told = json.loads((work / "out" / "quality.json").read_text())
+    told = MIMICRY.read(work / "out" / "quality.json")
     assert list(table) == list(COLUMNS) and set(told["columns"]) == set(table)
     fields = {entry.name for kind in (Quality, Reach) for entry in dataclasses.fields(kind)}
     assert fields <= set(COLUMNS) and fields == set(HEADINGS) - {
