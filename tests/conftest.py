@@ -29,17 +29,6 @@ from morphspace.synthetic.inverse import at_points
 HEIGHT, WIDTH = 72, 60
 MOUTH_ROW = 50  # the slit lies between this row and the next
 FRAMES = 9
-ORIGIN = {
-    "consent": None,
-    "licence": "CC0",
-    "frame_rate_hz": None,
-    "inputs": {},
-    "flow_start": "none",
-    "components_asked": 10,
-    "warp_weight_trials": [],
-    "versions": {},
-}
-"""The provenance of the models of the fixtures, beside identity, framing and reference."""
 
 
 @pytest.fixture(scope="session", autouse=True)
@@ -158,9 +147,10 @@ def model():
     mean_morph = Morph(mean, (HEIGHT, WIDTH), "d2a11f0123456789")
     provenance = {
         "identity": "drawn",
-        **ORIGIN,
+        "licence": "CC0",
         "framing": {"source_size": [64, 80], "crop": None, "size": [64, 80]},
         "reference": {"frame": "neutral", "reason": "it was asked for", "sha256": "0" * 64},
+        "versions": {},
     }
     names = tuple(f"frame_{i:03d}" for i in range(len(rows)))
     return MorphModel(
@@ -260,9 +250,10 @@ def drawn_person(seed):
     name = f"drawn {seed}"
     provenance = {
         "identity": name,
-        **ORIGIN,
+        "licence": "CC0",
         "framing": {"source_size": list(DRAWN_SIZE), "crop": None, "size": list(DRAWN_SIZE)},
         "reference": {"frame": "f00", "reason": "it was asked for", "sha256": "0" * 64},
+        "versions": {},
     }
     names = tuple(f"f{i:02d}" for i in range(DRAWN_FRAMES))
     model = MorphModel(

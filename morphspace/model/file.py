@@ -93,21 +93,21 @@ class BlendEntry(TypedDict):
 
 
 class Provenance(TypedDict):
-    """The origin of a model."""
+    """The origin of a model; a build writes all entries but `blend` and `pair`, and readers need four of them."""
 
     identity: str
-    consent: OrNull[str]
-    licence: OrNull[str]
-    frame_rate_hz: OrNull[FrameRate]
+    consent: NotRequired[OrNull[str]]
+    licence: NotRequired[OrNull[str]]
+    frame_rate_hz: NotRequired[OrNull[FrameRate]]
     framing: Annotated[FramingEntry, Open()]
     mask_sha256: NotRequired[OrNull[Digest]]
-    inputs: Digests
+    inputs: NotRequired[Digests]
     reference: Annotated[ReferenceEntry, Open()]
-    flow_start: Literal["auto", "none"]
+    flow_start: NotRequired[Literal["auto", "none"]]
     mask_from: NotRequired[Literal["given", "found face", "faceframe", "ellipse"]]
     landmarks: NotRequired[Annotated[OrNull[SearchEntry], Open()]]
-    components_asked: Annotated[int, Ge(1)]
-    warp_weight_trials: list[Point]
+    components_asked: NotRequired[Annotated[int, Ge(1)]]
+    warp_weight_trials: NotRequired[list[Point]]
     keypoints: NotRequired[Annotated[OrNull[KeypointsEntry], Open()]]
     blend: NotRequired[Annotated[BlendEntry, Open()]]
     pair: NotRequired[dict[str, Any]]

@@ -290,7 +290,7 @@ BROKEN_MODELS = [
     ("training_frames", ["a"]),
     ("flow", None),
     ("surprise", 1),
-    ("provenance.consent", ...),
+    ("provenance.consent", 1),
     ("provenance.frame_rate_hz", "25"),
     ("provenance.framing.size", [48]),
     ("provenance.framing.crop", [1, 2, 3]),
