@@ -180,10 +180,11 @@ def read_json_object(path: Path) -> dict[str, Any]:
 def entries_of(shape: type) -> dict[str, Field]:
     """Read the declaration of a document: its entries by name; one that may be missing has the default `...`."""
     hints = typing.get_type_hints(shape, include_extras=True)
+    default = {} if getattr(shape, "__total__", True) else {"default": ...}
     return {
         name: field_of(name, typing.get_args(hint)[0], ...)
         if typing.get_origin(hint) is NotRequired
-        else field_of(name, hint)
+        else field_of(name, hint, **default)
         for name, hint in hints.items()
     }
 

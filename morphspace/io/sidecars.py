@@ -39,14 +39,14 @@ class FaceframeEntry(TypedDict):
     philtrum: Philtrum
 
 
-class ClipDocument(TypedDict):
+class ClipDocument(TypedDict, total=False):
     """The entries of a `clip.json` (data_spec/clip-folder.md)."""
 
-    identity: NotRequired[Annotated[OrNull[Line], Help("The person shown.")]]
-    frame_rate_hz: NotRequired[OrNull[FrameRate]]
-    consent: NotRequired[Annotated[OrNull[str], Help("What the person agreed to.")]]
-    licence: NotRequired[Annotated[OrNull[str], Help("Terms of use of the pictures.")]]
-    faceframe: NotRequired[Annotated[OrNull[FaceframeEntry], Open()]]
+    identity: Annotated[OrNull[Line], Help("The person shown.")]
+    frame_rate_hz: OrNull[FrameRate]
+    consent: Annotated[OrNull[str], Help("What the person agreed to.")]
+    licence: Annotated[OrNull[str], Help("Terms of use of the pictures.")]
+    faceframe: Annotated[OrNull[FaceframeEntry], Open()]
 
 
 class FaceframeDocument(TypedDict):

@@ -57,7 +57,7 @@ class ReferenceEntry(TypedDict):
     sha256: Digest
 
 
-class SearchEntry(TypedDict):
+class SearchEntry(TypedDict, total=False):
     """The search of faces in the frames of a build."""
 
     detector: dict[str, Any]
@@ -67,12 +67,12 @@ class SearchEntry(TypedDict):
     reference_has_face: bool
 
 
-class KeypointsEntry(TypedDict):
+class KeypointsEntry(TypedDict, total=False):
     """The origin of the faceframe; `points` are those of the face mesh on the mean face, px."""
 
     source: str
     lip: Literal["philtrum", "upper-lip"]
-    points: NotRequired[OrNull[list[Point]]]
+    points: OrNull[list[Point]]
 
 
 class BlendEntry(TypedDict):
