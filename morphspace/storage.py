@@ -35,6 +35,8 @@ READ_BLOCK = 1 << 20  # bytes that are read at a time
 DEEPEST_JSON = 64  # lists and objects inside each other; our documents have 6, Python's stack ends near 300
 CHECK = "Check the name and the permissions"
 CONTAINER_START = b'{"__metadata__": {"morphspace": "'  # after the 8 bytes of the header's length
+LONGEST_WHOLE = 310  # digits and sign of the largest number of 64 bits
+BEYOND_64_BITS = "a number is not finite, or too large for 64 bits"
 # Half of a pair of UTF-16, which JSON can name and UTF-8 cannot hold.
 UNPAIRED = re.compile("[\ud800-\udfff]")
 DTYPES = {
@@ -166,11 +168,17 @@ def parsed_json(content: bytes | str) -> Any:
     """
     text = content if isinstance(content, str) else content.decode("utf-8-sig")
     try:
-        document = json.loads(text, object_pairs_hook=_unique)
+        document = json.loads(text, object_pairs_hook=_unique, parse_int=_whole)
     except RecursionError as error:
         raise ValueError(f"more than {DEEPEST_JSON} levels lie inside each other") from error
     _check_json(document, 0)
     return document
+
+
+def _whole(digits: str) -> int:
+    if len(digits) > LONGEST_WHOLE:
+        raise ValueError(BEYOND_64_BITS)
+    return int(digits)
 
 
 def _unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
@@ -187,7 +195,7 @@ def _check_json(value: Any, depth: int) -> None:
             raise ValueError(f"the text {value[:KEPT_NAME]!a} holds NUL or half a character")
     elif isinstance(value, int | float):
         if not abs(value) <= sys.float_info.max:
-            raise ValueError("a number is not finite, or too large for 64 bits")
+            raise ValueError(BEYOND_64_BITS)
     elif value is not None:
         if depth == DEEPEST_JSON:
             raise ValueError(f"more than {DEEPEST_JSON} levels lie inside each other")

@@ -26,6 +26,7 @@ from morphspace.documents import (
     read_json_object,
 )
 from morphspace.errors import BadInput, ModelFileError, UnreadableFile
+from morphspace.io.png import png_with_texts
 from morphspace.io.sidecars import (
     POINT_NAMES,
     MarkedFaceframe,
@@ -34,6 +35,7 @@ from morphspace.io.sidecars import (
     read_sidecar,
     write_sidecar,
 )
+from morphspace.io.stimulus_sidecars import KEYWORD, essentials_in
 from morphspace.io.tables import read_loadings_table, write_loadings_table
 from morphspace.model.keypoints import framing_of, landmarks_of, lip_of
 from morphspace.model.model import load_model
@@ -125,6 +127,7 @@ def test_other_entries_are_kept_where_the_declaration_is_open():
         (b'{"a": [-Infinity]}', "a number is not finite, or too large"),
         (b'{"a": 1e999}', "a number is not finite, or too large"),
         (b'{"a": 1' + b"0" * 400 + b"}", "a number is not finite, or too large"),
+        (b'{"a": ' + b"9" * 5000 + b"}", "a number is not finite, or too large"),
         (b'{"a": "\\ud800"}', r"the text '\ud800' holds NUL or half a character"),
         (b'{"a\\u0000": 1}', r"the text 'a\x00' holds NUL or half a character"),
         (b"[" * 100_000, "more than 64 levels lie inside each other"),
@@ -341,3 +344,12 @@ def test_a_model_with_a_damaged_document_is_refused_or_opened(data, files):
     else:
         assert found.identity == changed["provenance"]["identity"]
         framing_of(found), landmarks_of(found), lip_of(found)
+
+
+@settings(max_examples=25, deadline=None, derandomize=True)
+@given(text=st.text(max_size=20) | JSON.map(json.dumps))
+def test_any_text_inside_a_stimulus_is_read_or_ignored(text, tmp_path_factory):
+    path = tmp_path_factory.mktemp("stimulus") / "a.png"
+    path.write_bytes(png_with_texts(np.zeros((2, 2, 3), np.uint8), {KEYWORD: text}))
+    found = essentials_in(path)
+    assert found is None or "request_sha256" in found
