@@ -9,8 +9,9 @@ libav neither joins the tiles of a phone's picture nor cuts off the edge that pa
 
 from __future__ import annotations
 
+import contextlib
 import zlib
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -73,13 +74,14 @@ def image_size(path: str | Path) -> tuple[int, int]:
     Raises `UnreadableFile`, and `BadInput` if the image is larger than the limit (`limits.PICTURE_PX`).
     """
     path = Path(path)
-    if _is_avif(path):
-        return _opened_avif(path)[1]
-    source = _open(path)
-    spec = source.spec()
-    source.close()
-    size = (int(spec.width), int(spec.height))
-    return (size[1], size[0]) if spec.get_int_attribute("Orientation", 1) >= 5 else size
+    with _legible(path):
+        if _is_avif(path):
+            return _opened_avif(path)[1]
+        source = _open(path)
+        spec = source.spec()
+        source.close()
+        size = (int(spec.width), int(spec.height))
+        return (size[1], size[0]) if spec.get_int_attribute("Orientation", 1) >= 5 else size
 
 
 def read_image(path: str | Path, *, background: Sequence[float] | None = None) -> Image:
@@ -107,13 +109,14 @@ def read_image(path: str | Path, *, background: Sequence[float] | None = None) -
         raise BadInput(
             f"the background is {tuple(background)}; expected three values in [0, 1]. Try 0.5 0.5 0.5"
         )
-    if _is_avif(path):
-        return _read_avif(path)
-    values, names, spec = _read_channels(path)
-    is_linear = _format_of(spec) == "openexr"
-    colour = values[..., :3] if len(names) >= 3 else np.repeat(values[..., :1], 3, axis=2)
-    if not is_linear:
-        colour = in_srgb(path, colour, spec)
+    with _legible(path):
+        if _is_avif(path):
+            return _read_avif(path)
+        values, names, spec = _read_channels(path)
+        is_linear = _format_of(spec) == "openexr"
+        colour = values[..., :3] if len(names) >= 3 else np.repeat(values[..., :1], 3, axis=2)
+        if not is_linear:
+            colour = in_srgb(path, colour, spec)
     if names[-1] == "a" and (values[..., -1] < 1).any():
         if background is None:
             raise BadInput(
@@ -143,7 +146,8 @@ def read_mask(path: str | Path) -> Mask:
         If the image is coloured, has transparency or values outside [0, 1].
     """
     path = Path(path)
-    values, names, _ = _read_channels(path)
+    with _legible(path):
+        values, names, _ = _read_channels(path)
     if names[-1] == "a":
         if (values[..., -1] < 1).any():
             raise BadInput(
@@ -249,6 +253,17 @@ def jpeg_bytes(image: Image, quality: int = JPEG_QUALITY) -> bytes:
         raise BadInput(f"the JPEG quality is {quality}; expected 1 to 100. Change it")
     check_image(image, "an image as JPEG")
     return _encoded(".jpg", codes_of(image, 8)[0], _jpeg_options(quality))
+
+
+@contextlib.contextmanager
+def _legible(path: Path) -> Iterator[None]:
+    """Raise `UnreadableFile` if a library meets a text of the header that is not UTF-8."""
+    try:
+        yield
+    except UnicodeDecodeError as error:
+        raise UnreadableFile(
+            f"{path} is damaged: a text in its header is not UTF-8. Copy it again"
+        ) from error
 
 
 def animation_frames(path: Path) -> int:

@@ -290,6 +290,31 @@ def test_a_flipped_byte_in_a_png_is_noticed(tmp_path, capfd):
     assert capfd.readouterr() == ("", "")
 
 
+@pytest.mark.parametrize(
+    "suffix", [".png", ".tif", ".jpg", ".webp", ".bmp", ".exr", ".jxl", ".avif", ".ppm", ".tga"]
+)
+def test_only_our_errors_leave_a_damaged_picture(tmp_path, suffix, monkeypatch):
+    """Bytes are replaced, more often in the header, and files are cut."""
+    monkeypatch.setenv("MORPHSPACE_LARGEST_PICTURE_PX", "1000000")
+    path = tmp_path / f"a{suffix}"
+    if suffix in (".exr", ".jxl"):
+        write_channels(path, unit(CODES) if suffix == ".exr" else CODES, ("R", "G", "B"))
+    else:
+        Pillow.fromarray(CODES).save(path)
+    whole = path.read_bytes()
+    rng = np.random.default_rng(5)
+    for trial in range(60):
+        damaged = bytearray(whole)
+        for _ in range(rng.choice([1, 3, 10])):
+            damaged[rng.integers(len(whole) if trial % 2 else min(len(whole), 200))] = rng.integers(256)
+        path.write_bytes(damaged[: rng.integers(len(whole)) if trial % 3 == 0 else None])
+        for read in (read_image, image_size, read_mask):
+            try:
+                read(path)
+            except BadInput as error:
+                assert str(error).count("\n") == 0
+
+
 def test_what_is_not_an_image_is_named(tmp_path):
     (tmp_path / "text.png").write_text("this is no picture")
     Pillow.fromarray(CODES).save(tmp_path / "a.gif")
@@ -539,6 +564,14 @@ def test_a_file_in_place_of_the_folder_is_named(tmp_path):
     for suffix in EVERY_SUFFIX:
         with pytest.raises(UnwritableFile, match=r"cannot write .*file/a"):
             write_image(tmp_path / "file" / f"a{suffix}", SMOOTH)
+
+
+def test_pictures_of_frames_have_names_that_every_system_allows():
+    names = ["a/b", "c\\d", 'x<y>:"|?*', "two\nlines", "plain"]
+    wanted = ("a_b.png", "c_d.png", "x_y______.png", "two_lines.png", "plain.png")
+    assert images.picture_names(names) == wanted
+    with pytest.raises(BadInput, match="2 frames would be written as a_b"):
+        images.picture_names(["a/b", "a|b"])
 
 
 def test_bytes_in_memory_are_readable_pictures():

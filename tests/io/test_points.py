@@ -1,9 +1,12 @@
 """Laws of marked points: every program's file gives the same eyes and lip, whichever way its y counts."""
 
+import contextlib
 import json
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
 
 from morphspace.errors import BadInput, UnreadableFile
@@ -301,3 +304,21 @@ def test_a_landmark_outside_that_no_eye_and_no_lip_needs_does_not_matter(file):
     points[8] = (100, 260)  # the chin of a cropped face
     found = read_marked_points(file("a.csv", in_every_form(map(tuple, points))[".csv"]), SIZE)
     assert_allclose(found.points, FACE[:3])
+
+
+@settings(max_examples=300, deadline=None)
+@given(
+    suffix=st.sampled_from([".tem", ".tps", ".csv", ".txt", ".json"]),
+    content=st.binary(max_size=50)
+    | st.lists(
+        st.sampled_from(
+            ["LM=3", "3", "ID=0", "1 2", "5,6", "-1 -1", "NA NA", "x,y", "POINTS=2", "sep=,", ";", "\ufeff"]
+        )
+    ).map(lambda lines: "\n".join(lines).encode()),
+)
+def test_any_bytes_are_points_or_refused(tmp_path_factory, suffix, content):
+    path = tmp_path_factory.mktemp("any") / f"a{suffix}"
+    path.write_bytes(content)
+    with contextlib.suppress(BadInput):
+        points = read_marked_points(path, SIZE).points
+        assert points.shape == (3, 2) and np.isfinite(points).all()

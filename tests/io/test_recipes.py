@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import contextlib
 import csv
 import itertools
 from pathlib import Path
 
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from morphspace.errors import BadInput, UnreadableFile
@@ -305,3 +306,34 @@ def test_any_text_is_taken_apart_or_refused(text):
         return
     words = {place.key: "<>" for place in places_in(text)}
     assert "{" not in str(filled(text, words)) or not pieces
+
+
+@settings(max_examples=300, deadline=None)
+@given(
+    suffix=st.sampled_from([".yaml", ".csv"]),
+    content=st.binary(max_size=60)
+    | st.lists(
+        st.sampled_from(
+            [
+                "format: morphspace-recipe",
+                "version: 1",
+                "stimuli:",
+                "  - verb: caricature",
+                "    gain: 1e999",
+                "a: &x [*x]",
+                "? {a: b}",
+                "factors: {g: [1, .nan]}",
+                "- !!python/object:os.system x",
+                "\t:",
+                "verb,name",
+                "grid,{x",
+                "'",
+            ]
+        )
+    ).map(lambda lines: "\n".join(lines).encode()),
+)
+def test_any_bytes_are_a_recipe_or_refused(tmp_path_factory, suffix, content):
+    path = tmp_path_factory.mktemp("any") / f"a{suffix}"
+    path.write_bytes(content)
+    with contextlib.suppress(BadInput):
+        list(read_recipe(path, VERBS).jobs())
