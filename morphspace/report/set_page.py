@@ -86,17 +86,18 @@ class SetPage:
     listed: int = LISTED_AT_MOST
 
 
-def places_shown(count: int) -> tuple[int, ...]:
-    """Select evenly spread stimuli for the sheet, out of `count`."""
-    places = np.linspace(0, count - 1, min(count, SHOWN_AT_MOST)).round()
-    return tuple(int(place) for place in np.unique(places))
+def places_shown(rows: Sequence[Row], columns: Sequence[str]) -> tuple[int, ...]:
+    """Select evenly spread stimuli for the sheet; of a set in groups (all gains of a face) whole groups."""
+    size = _group_size(rows, columns)
+    groups = len(rows) // size
+    shown = np.linspace(0, groups - 1, min(groups, max(1, SHOWN_AT_MOST // size))).round()
+    return tuple(int(group) * size + place for group in np.unique(shown) for place in range(size))
 
 
 def set_page(made: StimulusSet) -> str:
     """Return the page as HTML; the same values give the same bytes."""
     rows = made.rows
     flags = [", ".join(_flags(row)) for row in rows]
-    is_whole = len(made.thumbnails) == len(rows)
     page = SetPage(
         title=made.title,
         made=made,
@@ -111,7 +112,7 @@ def set_page(made: StimulusSet) -> str:
             _panel(rows[place], image, made.columns, flags[place])
             for place, image in sorted(made.thumbnails.items())
         ],
-        columns=sheet_columns(rows, made.columns) if is_whole else SHEET_COLUMNS,
+        columns=sheet_columns(rows, made.columns),
         plots=[plot for name in PLOTTED for space in SPACES for plot in _plot(rows, space, name)],
         statistics=[_statistics(rows, space, name) for space in SPACES for name in FIGURES],
         flagged=[(str(row["name"]), why) for row, why in zip(rows, flags, strict=True) if why],
@@ -122,8 +123,16 @@ def set_page(made: StimulusSet) -> str:
 def sheet_columns(rows: Sequence[Row], columns: Sequence[str]) -> int:
     """Return the number of pictures in a row of the sheet, so that related stimuli are in one row.
 
-    If the first column has the same value for groups of equal size (all gains of a frame, all steps of a component),
-    a row holds one such group, or several whole ones.
+    A row holds one group, or several whole ones.
+    """
+    size = _group_size(rows, columns)
+    return size * max(1, SHEET_COLUMNS // size) if size > 1 else SHEET_COLUMNS
+
+
+def _group_size(rows: Sequence[Row], columns: Sequence[str]) -> int:
+    """Return the number of successive stimuli with one value in the first column, such as all gains of a face.
+
+    It is 1 if the groups differ in size, are longer than `MOST_COLUMNS`, or there is one only.
     """
     runs: list[int] = []
     last = object()
@@ -133,10 +142,8 @@ def sheet_columns(rows: Sequence[Row], columns: Sequence[str]) -> int:
             runs.append(0)
         runs[-1] += 1
         last = value
-    size = runs[0] if len(runs) > 1 and len(set(runs)) == 1 else SHEET_COLUMNS
-    if not 1 < size <= MOST_COLUMNS:
-        return SHEET_COLUMNS
-    return size * max(1, SHEET_COLUMNS // size)
+    is_grouped = len(runs) > 1 and len(set(runs)) == 1 and runs[0] <= MOST_COLUMNS
+    return runs[0] if is_grouped else 1
 
 
 def _panel(row: Row, image: Image, columns: Sequence[str], flags: str) -> Panel:

@@ -279,7 +279,8 @@ def _write_page(
 ) -> Path:
     """Write index.html: contact sheet, image statistics and stimuli to inspect."""
     thumbnails = {
-        place: _middle(folder / str(rows[place]["file"]), rows[place]) for place in places_shown(len(rows))
+        place: _middle(folder / str(rows[place]["file"]), rows[place])
+        for place in places_shown(rows, columns)
     }
     settings = {name: json.dumps(value, ensure_ascii=False) for name, value in request.items()}
     made = StimulusSet(f"Stimuli: {verb}", rows, thumbnails, notes, settings, columns)

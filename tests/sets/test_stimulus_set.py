@@ -22,7 +22,7 @@ from morphspace.model.loadings import Loadings
 from morphspace.model.model import load_model
 from morphspace.model.morph import Morph
 from morphspace.outcome import versions
-from morphspace.report.set_page import sheet_columns
+from morphspace.report.set_page import SHOWN_AT_MOST, places_shown, sheet_columns
 from morphspace.requests import told_path
 from morphspace.sets.manifest import Column
 from morphspace.sets.plan import PlannedSet, check_names, plan_of
@@ -397,6 +397,16 @@ def test_what_belongs_together_stands_in_one_row_of_the_sheet():
     assert sheet_columns(rows(("a", 3), ("b", 4)), ["frame"]) == 8
     assert sheet_columns(rows(("a", 30), ("b", 30)), ["frame"]) == 8
     assert sheet_columns(rows(("a", 1), ("b", 1)), ["frame"]) == sheet_columns(rows(("a", 9)), []) == 8
+
+
+def test_a_sheet_of_many_faces_shows_each_shown_face_at_all_its_gains():
+    rows = [{"frame": f"f{number}", "gain": gain} for number in range(40) for gain in (0.5, 1.0, 2.0)]
+    places = places_shown(rows, ["frame", "gain"])
+    assert len(places) == SHOWN_AT_MOST and places[:3] == (0, 1, 2) and places[-1] == 119
+    assert all(places[at] % 3 == 0 and places[at + 2] == places[at] + 2 for at in range(0, len(places), 3))
+    alone = [{"frame": f"f{number}"} for number in range(200)]
+    assert len(places_shown(alone, ["frame"])) == SHOWN_AT_MOST
+    assert places_shown(alone[:3], ["frame"]) == (0, 1, 2)
 
 
 def test_a_page_shows_every_stimulus_and_loads_nothing(any_set):
