@@ -1,5 +1,19 @@
 """`python -m morphspace` is `morphspace`."""
 
-from morphspace.cli.main import main
+import sys
 
-main(prog_name="morphspace")
+INTERRUPTED = 130  # 128 and the number of SIGINT, as shells report it
+
+
+def run() -> None:
+    """Run the command line; Ctrl-C while it is imported ends in one line."""
+    try:
+        from morphspace.cli.main import main
+    except KeyboardInterrupt:
+        print("morphspace: stopped", file=sys.stderr)
+        sys.exit(INTERRUPTED)
+    main(prog_name="morphspace")
+
+
+if __name__ == "__main__":
+    run()

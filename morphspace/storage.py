@@ -13,6 +13,7 @@ import json
 import math
 import os
 import re
+import stat
 import struct
 import sys
 import tempfile
@@ -54,8 +55,8 @@ DTYPE_NAMES = {np.dtype(kind): name for name, kind in DTYPES.items()}
 def whole_file(path: Path) -> Iterator[Path]:
     """Provide a temporary name beside `path` for a block; after the block flush it to the disk and rename it to `path`.
 
-    If the block fails, the temporary file is removed and an older file at `path` stays. Raises `UnwritableFile` if
-    the system refuses.
+    An older file's permissions are kept. If the block fails, the temporary file is removed and the older file stays.
+    Raises `UnwritableFile` if the system refuses.
     """
     path = Path(path)
     try:
@@ -73,7 +74,7 @@ def whole_file(path: Path) -> Iterator[Path]:
         yield temporary
         with temporary.open("rb+") as file:
             os.fsync(file.fileno())
-        temporary.chmod(0o666 & ~_umask())
+        temporary.chmod(stat.S_IMODE(path.stat().st_mode) if path.exists() else 0o666 & ~_umask())
         temporary.replace(path)
     except OSError as error:
         raise UnwritableFile(

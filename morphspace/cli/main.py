@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import io
 import json
+import os
 import re
 import signal
 import sys
@@ -17,6 +18,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import click
 
 from morphspace import __version__
+from morphspace.__main__ import INTERRUPTED
 from morphspace.cli.options import parameters_of, request_of_words
 from morphspace.errors import BadInput, MorphspaceError
 from morphspace.requests import GROUPS, Verb, Workers, declared, verb_named, verb_names
@@ -31,7 +33,6 @@ PROGRESS_EVERY_S, IN_A_LOG_EVERY_S = (
     0.1,
     30.0,
 )  # s; on a terminal, and in a log file, where each update adds a line
-INTERRUPTED = 130
 CONTROL = re.compile(r"[\x00-\x1f\x7f-\x9f]+")  # names in messages may hold what moves a terminal's cursor
 
 
@@ -99,6 +100,12 @@ class Verbs(click.Group):
             )
         except click.Abort:
             _fail("stopped", INTERRUPTED, "Interrupted" if is_told else None)
+        except OSError as error:  # of the standard output: a verb's own files raise `UnwritableFile`
+            os.dup2(
+                os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno()
+            )  # what is buffered is lost in silence
+            why = error.strerror or str(error)
+            _fail(f"cannot write to the standard output: {why}. Free space, or send it elsewhere", 2, None)
         sys.exit(code if isinstance(code, int) else 0)
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib.abc
 import json
 import os
 import re
@@ -18,6 +19,7 @@ import numpy as np
 import pytest
 from click.testing import CliRunner, Result
 
+from morphspace import __main__ as entry
 from morphspace.cli.main import main
 from morphspace.errors import BadInput
 from morphspace.face.faceframe import FaceFrame
@@ -542,3 +544,33 @@ def test_a_frame_name_is_found_whichever_way_its_accent_is_written(
             "caricature", model, "--loadings", tmp_path / "t.csv", "--frame", name, "-o", tmp_path / name
         )
         assert result.exit_code == 0, result.output
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="the system has no /dev/full")
+@pytest.mark.parametrize("words", [["--help"], ["models", "list"], ["models", "list", "--json"]])
+def test_a_full_standard_output_ends_in_one_line(words):
+    with Path("/dev/full").open("w") as full:
+        ended = subprocess.run(
+            [sys.executable, "-m", "morphspace", *words],
+            stdout=full,
+            stderr=subprocess.PIPE,
+            text=True,
+            cwd=ROOT,
+        )
+    assert ended.returncode == 2
+    *notes, last = ended.stderr.splitlines()
+    assert last.startswith("morphspace: cannot write to the standard output: ")
+    assert all(note.startswith("note: ") for note in notes)
+
+
+def test_an_interrupt_during_the_import_ends_in_one_line(monkeypatch, capsys):
+    class Interrupted(importlib.abc.MetaPathFinder):
+        def find_spec(self, name, path, target=None):
+            if name == "morphspace.cli.main":
+                raise KeyboardInterrupt
+
+    monkeypatch.delitem(sys.modules, "morphspace.cli.main")
+    monkeypatch.setattr(sys, "meta_path", [Interrupted(), *sys.meta_path])
+    with pytest.raises(SystemExit) as ended:
+        entry.run()
+    assert ended.value.code == 130 and capsys.readouterr().err == "morphspace: stopped\n"

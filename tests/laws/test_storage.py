@@ -2,6 +2,7 @@
 
 import json
 import os
+import stat
 import struct
 import subprocess
 import sys
@@ -287,3 +288,11 @@ def test_digests_tell_content_type_and_shape_apart(tmp_path):
     others = [array.reshape(2, 3), array.view(np.int32), array[::-1]]
     assert len({digest_of_array(each) for each in [array, *others]}) == 4
     assert digest_of_array(array.reshape(2, 3)) == digest_of_array(np.asfortranarray(array.reshape(2, 3)))
+
+
+def test_a_rewritten_file_keeps_its_permissions(tmp_path):
+    path = tmp_path / "a.txt"
+    write_text(path, "first")
+    path.chmod(0o600)
+    write_text(path, "second")
+    assert path.read_text() == "second" and stat.S_IMODE(path.stat().st_mode) == 0o600
