@@ -2,7 +2,7 @@
 
 import sys
 
-INTERRUPTED = 130  # 128 and the number of SIGINT, as shells report it
+from morphspace.errors import INTERRUPTED
 
 
 def run() -> None:

@@ -4,6 +4,8 @@ Every message is one line with the object, the two values that disagree, and wha
 are faults of the input (the command line exits with 2); a plain `MorphspaceError` is a fault of morphspace (1).
 """
 
+INTERRUPTED = 130  # exit code; 128 and the number of SIGINT, as shells report it
+
 
 class MorphspaceError(Exception):
     """A failure that morphspace describes itself; the root of all its errors."""

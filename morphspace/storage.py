@@ -1,8 +1,8 @@
 """Atomic writing of files, and the container of named arrays behind every binary file of morphspace.
 
 A container is a safetensors file (no pickle, nothing is executed on reading) whose header also holds one JSON
-document. It is written under a temporary name, flushed to the disk and renamed. It is read as memory maps, so that a
-large model opens in milliseconds.
+document. It is written under a temporary name, flushed to the disk and renamed. It is read as memory maps, so that
+an array takes memory only where it is used.
 """
 
 from __future__ import annotations
@@ -34,6 +34,7 @@ UNFINISHED = re.compile(r"\.(?P<stem>.{1,40})\.[a-z0-9_]{8}(?P<suffix>\.[a-z0-9]
 ABANDONED_AFTER_S = 3600  # a file is written in seconds: one unchanged for so long belongs to a killed run
 READ_BLOCK = 1 << 20  # bytes that are read at a time
 DEEPEST_JSON = 64  # lists and objects inside each other; our documents have 6, Python's stack ends near 300
+MARK_NAME = ".writing.json"  # marks an output while it is written (`sets/protect.py`)
 CHECK = "Check the name and the permissions"
 CONTAINER_START = b'{"__metadata__": {"morphspace": "'  # after the 8 bytes of the header's length
 LONGEST_WHOLE = 310  # digits and sign of the largest number of 64 bits
@@ -140,6 +141,27 @@ def write_text(path: Path, text: str) -> None:
     """Write `text` (UTF-8) to `path`, whole or not at all."""
     with whole_file(path) as temporary:
         temporary.write_text(text, encoding="utf-8")
+
+
+def write_texts(texts: Mapping[Path, str]) -> None:
+    """Write texts (UTF-8) that belong together: all lie complete on the disk before the first gets its name.
+
+    Raises `UnwritableFile`; then no file was changed.
+    """
+    with contextlib.ExitStack() as all_or_none:
+        for path, text in texts.items():
+            temporary = all_or_none.enter_context(whole_file(path))
+            with temporary.open("w", encoding="utf-8", newline="") as file:
+                file.write(text)
+                file.flush()
+                os.fsync(file.fileno())
+
+
+def is_being_written(path: Path) -> bool:
+    """Return whether a run is writing a file or its folder, or was stopped while it did, by the mark of the run."""
+    return any(
+        mark.exists() for mark in (path.parent / MARK_NAME, path.with_name(f".{path.name}{MARK_NAME}"))
+    )
 
 
 def json_text(document: Any) -> str:

@@ -18,9 +18,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 import click
 
 from morphspace import __version__
-from morphspace.__main__ import INTERRUPTED
 from morphspace.cli.options import parameters_of, request_of_words
-from morphspace.errors import BadInput, MorphspaceError
+from morphspace.errors import INTERRUPTED, BadInput, MorphspaceError
 from morphspace.requests import GROUPS, Verb, Workers, declared, verb_named, verb_names
 from morphspace.settings import Help, Option
 

@@ -147,6 +147,7 @@ def _table(path: Path, model: MorphModel, stimulus: MorphModel, notes: list[str]
     """Read a table of `model`, which is that of the stimulus or of the imitator."""
     table = read_loadings_table(path)
     columns = table.loadings_sd.shape[1]
+    notes += table.notes
     document = table.document
     named = document and document.get("model_id")
     if document is None:

@@ -15,10 +15,10 @@ from morphspace.face.regions import REGIONS
 from morphspace.imitation import Comparison
 from morphspace.imitation.information import LEAST_FRAMES_INFORMATION
 from morphspace.imitation.shape import varies
-from morphspace.io.tables import write_metrics_table
+from morphspace.io.tables import metrics_text
 from morphspace.outcome import versions
 from morphspace.settings import Pattern
-from morphspace.storage import json_text, write_text
+from morphspace.storage import json_text, write_texts
 
 NAMED = 5  # components in a sentence
 ALL = "all"  # the row of all components together
@@ -275,7 +275,6 @@ def write_measures(
         "undefined": list(reasons),
     }
     table, beside = folder / "measures.csv", folder / "measures.json"
-    write_metrics_table(table, {name: _rounded(name, values[name]) for name in COLUMNS})
     document = {
         "format": "morphspace-imitation",
         "version": 1,
@@ -283,7 +282,12 @@ def write_measures(
         **described,
         "versions": versions(),
     }
-    write_text(beside, json_text(document))
+    write_texts(
+        {
+            table: metrics_text(table, {name: _rounded(name, values[name]) for name in COLUMNS}),
+            beside: json_text(document),
+        }
+    )
     return table, beside
 
 

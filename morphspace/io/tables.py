@@ -19,11 +19,18 @@ import numpy as np
 from annotated_types import Ge
 
 from morphspace.arrays import LoadingTable
-from morphspace.documents import Document, FrameRate, Open, OrNull
-from morphspace.errors import BadInput
+from morphspace.documents import Digest, Document, FrameRate, Open, OrNull
+from morphspace.errors import BadInput, UnreadableFile
 from morphspace.io.names import FORMULA, composed
 from morphspace.io.texts import COMMA_NUMBER, DATE, Table, number_remedy, read_table
-from morphspace.storage import json_text, write_text
+from morphspace.storage import (
+    digest_of_bytes,
+    digest_of_file,
+    is_being_written,
+    json_text,
+    write_text,
+    write_texts,
+)
 
 FRAME_COLUMN = "frame"
 COMPONENT_COLUMN = re.compile(r"pc([0-9]{3,})_sd")
@@ -38,6 +45,7 @@ class LoadingsDocument(TypedDict):
     unit: Literal["sd"]
     frame_count: NotRequired[Annotated[int, Ge(0)]]
     component_count: NotRequired[Annotated[int, Ge(1)]]
+    table_sha256: NotRequired[Digest]
     model_id: NotRequired[OrNull[str]]
     identity: NotRequired[OrNull[str]]
     source_model_id: NotRequired[OrNull[str]]
@@ -64,11 +72,14 @@ class LoadingsTable:
     loadings_sd : array (n, k), SD of each component
     document : mapping or None
         The JSON file beside the table (model, identity, origin). Without it the model of the loadings is unknown.
+    notes : tuple of str
+        That the table was changed after it was written, if it was.
     """
 
     frame_names: tuple[str, ...]
     loadings_sd: LoadingTable
     document: LoadingsDocument | None
+    notes: tuple[str, ...] = ()
 
     @property
     def rate_hz(self) -> float | None:
@@ -80,7 +91,7 @@ class LoadingsTable:
 def write_loadings_table(
     path: str | Path, loadings_sd: LoadingTable, frame_names: Sequence[str], document: Mapping[str, Any]
 ) -> None:
-    """Write loadings as CSV and their description as JSON beside it, each file completely or not at all.
+    """Write loadings as CSV and their description as JSON beside it, both completely or not at all.
 
     Parameters
     ----------
@@ -89,8 +100,8 @@ def write_loadings_table(
     loadings_sd : array (n, k), SD
     frame_names : n unique str
     document : mapping
-        `format`, `version`, `unit`, `frame_count` and `component_count` are added; a `frame_rate_hz` of None is left
-        out.
+        `format`, `version`, `unit`, `frame_count`, `component_count` and the digest of the table are added; a
+        `frame_rate_hz` of None is left out.
 
     Raises
     ------
@@ -121,16 +132,17 @@ def write_loadings_table(
         )
     headings = [FRAME_COLUMN, *map(_heading, range(loadings.shape[1]))]
     rows = [[name, *map(repr, row)] for name, row in zip(names, loadings.tolist(), strict=True)]
+    text = _csv_text(headings, rows)
     ours: LoadingsDocument = {
         "format": "morphspace-loadings",
         "version": 1,
         "unit": "sd",
         "frame_count": loadings.shape[0],
         "component_count": loadings.shape[1],
+        "table_sha256": digest_of_bytes(text.encode()),
     }
-    write_text(path, _csv_text(headings, rows))
     given = {key: value for key, value in document.items() if key != "frame_rate_hz" or value is not None}
-    write_text(path.with_suffix(".json"), json_text({**given, **ours}))
+    write_texts({path: text, path.with_suffix(".json"): json_text({**given, **ours})})
 
 
 def read_loadings_table(path: str | Path) -> LoadingsTable:
@@ -139,7 +151,7 @@ def read_loadings_table(path: str | Path) -> LoadingsTable:
     Raises
     ------
     UnreadableFile
-        If a file cannot be read.
+        If a file cannot be read, or a stopped run may have left the two files of different runs.
     BadInput
         If an entry is wrong; the message names its row and column.
     """
@@ -164,18 +176,45 @@ def read_loadings_table(path: str | Path) -> LoadingsTable:
             f"{beside} has component_count {document['component_count']}; expected the {components} of {path}. "
             "Use files that belong together"
         )
-    return LoadingsTable(tuple(names), loadings, document)
+    notes = () if document is None else _change_notes(path, beside, document)
+    return LoadingsTable(tuple(names), loadings, document, notes)
+
+
+def _change_notes(path: Path, beside: Path, document: LoadingsDocument) -> tuple[str, ...]:
+    """Note that a table is not the one that its JSON file describes; refuse it if a run was stopped between the two."""
+    if document.get("table_sha256") in (None, digest_of_file(path)):
+        return ()
+    if is_being_written(path):
+        raise UnreadableFile(
+            f"{path} is not the table that {beside.name} describes, and a run that writes them has not ended. Run that "
+            "command again"
+        )
+    return (f"{path} was changed after it was written: check that {beside.name} still describes it",)
 
 
 def write_metrics_table(path: str | Path, columns: Mapping[str, Sequence[Any]]) -> None:
-    """Write columns of texts or numbers as CSV. None and NaN become empty cells.
+    """Write columns of texts or numbers as CSV, as `metrics_text` forms them.
+
+    Raises
+    ------
+    BadInput
+        As `metrics_text`.
+    UnwritableFile
+        If the folder or disk refuses the file.
+    """
+    path = Path(path)
+    write_text(path, metrics_text(path, columns))
+
+
+def metrics_text(path: str | Path, columns: Mapping[str, Sequence[Any]]) -> str:
+    """Return columns of texts or numbers as CSV. None and NaN become empty cells.
 
     A text that begins as a formula is written after an apostrophe, so that no spreadsheet computes it.
 
     Parameters
     ----------
     path : str or Path
-        Ends in `.csv`.
+        The file to be written, which ends in `.csv`.
     columns : mapping of name to n values
         A name includes the unit, as in `distance_px`.
 
@@ -183,8 +222,6 @@ def write_metrics_table(path: str | Path, columns: Mapping[str, Sequence[Any]]) 
     ------
     BadInput
         If there are no columns, or they differ in length.
-    UnwritableFile
-        If the folder or disk refuses the file.
     """
     path = _csv_path(path)
     lengths = {name: len(values) for name, values in columns.items()}
@@ -197,7 +234,7 @@ def write_metrics_table(path: str | Path, columns: Mapping[str, Sequence[Any]]) 
                 f"cannot write {path}: column {name} has {length} rows; expected {count} as in {first}. Correct it"
             )
     cells = [[_cell(value) for value in values] for values in columns.values()]
-    write_text(path, _csv_text(list(columns), [list(row) for row in zip(*cells, strict=True)]))
+    return _csv_text(list(columns), [list(row) for row in zip(*cells, strict=True)])
 
 
 def read_metrics_table(path: str | Path) -> dict[str, list[str] | list[float]]:

@@ -15,9 +15,9 @@ from annotated_types import Ge, Len
 
 from morphspace.documents import Document
 from morphspace.errors import BadInput
-from morphspace.io.tables import write_metrics_table
+from morphspace.io.tables import metrics_text
 from morphspace.stimuli.image_statistics import FIGURES, SPACES
-from morphspace.storage import json_text, write_text
+from morphspace.storage import json_text, write_texts
 
 MANIFEST_NAME = "manifest.csv"
 Property = TypedDict(
@@ -147,7 +147,7 @@ def write_manifest(
         )
     names = [name for name in known if name in held]
     table = folder / MANIFEST_NAME
-    write_metrics_table(table, {name: [row.get(name) for row in rows] for name in names})
+    text = metrics_text(table, {name: [row.get(name) for row in rows] for name in names})
     described: Manifest = {
         "@context": "https://schema.org/",
         "@type": "Dataset",
@@ -159,7 +159,7 @@ def write_manifest(
         "stimulus_count": len(rows),
         "variableMeasured": [_property(name, known[name]) for name in names],
     }
-    write_text(table.with_suffix(".json"), json_text(described))
+    write_texts({table: text, table.with_suffix(".json"): json_text(described)})
     return table, table.with_suffix(".json")
 
 

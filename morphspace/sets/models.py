@@ -14,7 +14,7 @@ from morphspace.errors import BadInput, UnreadableFile
 from morphspace.face.detector import Detector, how_to_get_networks
 from morphspace.flow import methods
 from morphspace.io.clips import VIDEO_SUFFIXES, Clip, open_clip
-from morphspace.model.file import check_content
+from morphspace.model.file import read_model_file
 from morphspace.model.from_clip import ClipSettings, build_clip, default_size
 from morphspace.model.keypoints import detect_faceframe, how_to_learn, with_detected
 from morphspace.model.landmarks import LEAST_FACES
@@ -78,7 +78,6 @@ def opened_model(role: str, given: str, detector: Detector | None) -> UsedModel 
             f"{role} {path} does not exist. Give a model ({MODEL_SUFFIX}), or a clip to build one from"
         )
     if path.suffix.lower() == MODEL_SUFFIX and not path.is_dir():
-        check_content(path)
         model = load_model(path)
         if model.faceframe is None:
             raise BadInput(
@@ -203,7 +202,7 @@ def held_models(paths: Sequence[Path]) -> Iterator[list[Path]]:
                     f"{path} is not a {MODEL_SUFFIX} file. Build a model of the clip first with `morphspace "
                     "build-model`"
                 )
-            check_content(path)
+            read_model_file(path)
             copy = Path(folder) / f"{number}{MODEL_SUFFIX}"
             try:
                 shutil.copyfile(path, copy)
@@ -222,7 +221,7 @@ def held_models(paths: Sequence[Path]) -> Iterator[list[Path]]:
 
 def _is_unchanged(copy: Path) -> bool:
     try:
-        check_content(copy)
+        read_model_file(copy)
     except BadInput:
         return False
     return True

@@ -25,7 +25,7 @@ from morphspace.io.stimulus_sidecars import STIMULUS, essentials_in
 from morphspace.io.tables import LOADINGS
 from morphspace.outcome import RECORD, RECORD_NAME, relative_name
 from morphspace.stimuli.drawing import Drawing
-from morphspace.storage import is_container_or_nothing, make_folder
+from morphspace.storage import MARK_NAME, is_container_or_nothing, make_folder
 
 TABLE_SUFFIX = ".csv"
 LONGEST_NAME_BYTES = 200  # bytes of the 255 of a file system; records and unfinished files have longer names
@@ -43,7 +43,6 @@ SET_FILES = (
     RECORD_NAME,
 )
 MODELS_FOLDER = "models"  # models built from clips
-MARK_NAME = ".writing.json"
 MARK_FORMAT = "morphspace-writing"
 SYSTEM_FILES = ("thumbs.db", "desktop.ini")  # written by file managers, like all names that begin with a dot
 PAGE_FOOTER = b"<footer>Written by morphspace."

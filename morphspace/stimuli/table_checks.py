@@ -14,7 +14,7 @@ from morphspace.stimuli.drawing import FURTHEST_SD
 
 
 def check_table(model: MorphModel, table: LoadingsTable, path: Path) -> tuple[str, ...]:
-    """Check that a table belongs to the model. Return a note if it has no JSON file to compare.
+    """Check that a table belongs to the model. Return notes if it has no JSON file, or was changed.
 
     Raises
     ------
@@ -37,7 +37,7 @@ def check_table(model: MorphModel, table: LoadingsTable, path: Path) -> tuple[st
             f"{path} belongs to model {named}, this is model {model.model_id} ({model.identity}): encode the images "
             "with this model, or render with the other"
         )
-    return ()
+    return table.notes
 
 
 def check_reach(loadings_sd: LoadingTable, names: tuple[str, ...], path: Path) -> None:

@@ -13,10 +13,10 @@ from typing import Annotated, Any, Literal, TypedDict
 from annotated_types import Ge, Gt
 
 from morphspace.documents import Columns, Digest, Document, FrameRate, ModelId, OrNull, Versions
-from morphspace.io.tables import write_metrics_table
+from morphspace.io.tables import metrics_text
 from morphspace.model.encode import STRANGE
 from morphspace.outcome import versions
-from morphspace.storage import json_text, write_text
+from morphspace.storage import json_text, write_texts
 from morphspace.transfer.quality import Quality, Reach
 
 # Eye distances of missing motion at the features. In five pairs of people, 1 % of 360 frames are above it. With a
@@ -232,7 +232,6 @@ def write_quality(
 ) -> tuple[Path, Path]:
     """Write quality.csv, and quality.json with its columns' meanings and the entries of `about`."""
     table, beside = folder / "quality.csv", folder / "quality.json"
-    write_metrics_table(table, columns)
     document = {
         "format": "morphspace-mimicry",
         "version": 1,
@@ -244,5 +243,5 @@ def write_quality(
         **about,
         "versions": versions(),
     }
-    write_text(beside, json_text(document))
+    write_texts({table: metrics_text(table, columns), beside: json_text(document)})
     return table, beside

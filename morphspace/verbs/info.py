@@ -67,7 +67,6 @@ def _blend_lines(model: MorphModel) -> tuple[str, ...]:
 
 def run(request: InfoRequest) -> Steps[Outcome]:
     """Read the model, check its digest, and describe it."""
-    from morphspace.model.file import check_content
     from morphspace.model.landmarks import error_summary
     from morphspace.model.model import load_model, points_document
     from morphspace.outcome import Outcome
@@ -75,9 +74,8 @@ def run(request: InfoRequest) -> Steps[Outcome]:
     from morphspace.steps import Step
     from morphspace.verbs.encode import write_loadings
 
-    model = load_model(request.model)
     yield Step("check", 0, 1)
-    check_content(request.model)
+    model = load_model(request.model)
     yield Step("check", 1, 1)
     total = max(float(model.basis.variances.sum()) / max(model.basis.variance_explained, 1e-12), 1e-30)
     shares = (model.basis.variances / total).tolist()

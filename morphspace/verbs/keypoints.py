@@ -71,7 +71,6 @@ def run(request: KeypointsRequest, detector: Detector | None = None) -> Steps[Ou
 
     from morphspace.face.detector import load_detector
     from morphspace.io.images import write_image
-    from morphspace.model.file import check_content
     from morphspace.model.keypoint_sources import (
         detected_keypoints,
         far_notes,
@@ -84,7 +83,6 @@ def run(request: KeypointsRequest, detector: Detector | None = None) -> Steps[Ou
     from morphspace.sets.protect import Output, check_file, writing
 
     _check(request)
-    check_content(request.model)  # a damaged model must not be written again with a valid digest
     model = load_model(request.model)
     if not request.automatic and request.points is None and request.file is None:
         return _shown(request.model, model)

@@ -2,6 +2,7 @@
 
 import contextlib
 import json
+import os
 from pathlib import Path
 
 import numpy as np
@@ -10,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 
-from morphspace.errors import BadInput, UnreadableFile
+from morphspace.errors import BadInput, UnreadableFile, UnwritableFile
 from morphspace.io.tables import (
     read_loadings_table,
     read_metrics_table,
@@ -237,3 +238,46 @@ def test_columns_of_different_length_are_refused(tmp_path):
         write_metrics_table(tmp_path / "m.csv", {"a": [1, 2], "b": [1]})
     with pytest.raises(BadInput, match="no columns"):
         write_metrics_table(tmp_path / "m.csv", {})
+
+
+def written_pair(path, value, identity):
+    write_loadings_table(path, np.full((2, 1), value), ["a", "b"], {"identity": identity})
+
+
+def test_an_edited_table_is_read_with_a_note(tmp_path):
+    written_pair(tmp_path / "t.csv", 1.0, "anna")
+    assert read_loadings_table(tmp_path / "t.csv").notes == ()
+    (tmp_path / "t.csv").write_text("frame,pc001_sd\na,2\n")
+    (note,) = read_loadings_table(tmp_path / "t.csv").notes
+    assert "t.csv was changed after it was written" in note and "t.json" in note
+
+
+@pytest.mark.parametrize("mark", [".writing.json", ".t.csv.writing.json"])
+def test_a_table_and_a_sidecar_of_two_runs_are_refused(tmp_path, mark):
+    written_pair(tmp_path / "t.csv", 1.0, "anna")
+    kept = (tmp_path / "t.json").read_bytes()
+    written_pair(tmp_path / "t.csv", 2.0, "berta")
+    (tmp_path / "t.json").write_bytes(kept)  # a run was killed between the two
+    (tmp_path / mark).write_text("{}")
+    with pytest.raises(UnreadableFile, match=r"t\.csv is not the table that t\.json describes"):
+        read_loadings_table(tmp_path / "t.csv")
+    (tmp_path / "t.json").unlink()
+    written_pair(tmp_path / "t.csv", 2.0, "berta")
+    assert read_loadings_table(tmp_path / "t.csv").document["identity"] == "berta"
+
+
+def test_a_disk_that_fills_between_table_and_sidecar_changes_neither(tmp_path, monkeypatch):
+    written_pair(tmp_path / "t.csv", 1.0, "anna")
+    before = {path.name: path.read_bytes() for path in tmp_path.iterdir()}
+    count = 0
+
+    def full(handle):
+        nonlocal count
+        count += 1
+        if count == 2:
+            raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(os, "fsync", full)
+    with pytest.raises(UnwritableFile, match="No space left"):
+        written_pair(tmp_path / "t.csv", 2.0, "berta")
+    assert count == 2 and {path.name: path.read_bytes() for path in tmp_path.iterdir()} == before

@@ -16,7 +16,7 @@ from morphspace.face.mesh import LANDMARKS, LEFT_LIDS, RIGHT_LIDS
 from morphspace.grid import warp
 from morphspace.io.images import read_image
 from morphspace.io.sidecars import MarkedFaceframe
-from morphspace.model.file import check_content
+from morphspace.model.file import read_model_file
 from morphspace.model.keypoints import (
     affine_between,
     affine_between_models,
@@ -231,7 +231,7 @@ def test_what_is_set_is_in_the_file_and_nothing_else_changes(model, saved):
     before = load_model(saved)
     outcome = result_of(run(KeypointsRequest(saved, points=tuple(map(tuple, POINTS)), lip="upper-lip")))
     after = load_model(saved)
-    check_content(saved)
+    read_model_file(saved)
     assert_array_equal(after.faceframe.points, POINTS)
     assert (after.model_id, lip_of(after)) == (before.model_id, "upper-lip")
     assert after.provenance["keypoints"]["source"] == "set"

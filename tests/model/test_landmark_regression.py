@@ -13,7 +13,7 @@ from morphspace.errors import BadInput, ModelFileError
 from morphspace.face.faceframe import FaceFrame
 from morphspace.face.mesh import GROUPS, INNER_LIPS, LANDMARKS, POINT_COUNT, landmark_places
 from morphspace.grid import warp
-from morphspace.model.file import check_content
+from morphspace.model.file import read_model_file
 from morphspace.model.keypoints import detect_faceframe, with_detected
 from morphspace.model.landmarks import learn_landmarks
 from morphspace.model.model import load_model
@@ -154,7 +154,7 @@ def test_the_file_keeps_the_landmarks_and_old_files_have_none(model, taught, tmp
     taught.save(tmp_path / "taught.morph")
     model.save(tmp_path / "old.morph")
     loaded = load_model(tmp_path / "taught.morph")
-    check_content(tmp_path / "taught.morph")
+    read_model_file(tmp_path / "taught.morph")
     for name in ("mean", "weights", "error_px", "faces", "ridge", "follows_warp"):
         assert_array_equal(getattr(loaded.landmarks, name), getattr(taught.landmarks, name))
     assert load_model(tmp_path / "old.morph").landmarks is None

@@ -17,7 +17,7 @@ from morphspace.face.faceframe import FaceFrame, Frame, identity_affine
 from morphspace.flow import Flow, methods
 from morphspace.grid import warp
 from morphspace.linear.quality import psnr_db
-from morphspace.model.file import ARRAY_KINDS
+from morphspace.model.file import ARRAY_KINDS, content_digest
 from morphspace.model.loadings import Loadings
 from morphspace.model.model import inner_product, load_model
 from morphspace.model.morph import Morph, MorphOffset
@@ -436,8 +436,28 @@ def test_variances_that_cannot_be_are_refused(saved, place, value):
 
 
 def test_a_variance_of_zero_is_none_the_worse(saved):
-    rewritten(saved, lambda arrays, document: arrays["variances"].__setitem__(2, 0.0))
+    def without_variance(arrays, document):
+        arrays["variances"][2] = 0.0
+        document["content_sha256"] = content_digest(arrays, document)
+
+    rewritten(saved, without_variance)
     assert load_model(saved).sd[2] == 0
+
+
+@pytest.mark.parametrize(("name", "value"), [("components", np.nan), ("components", 0.5), ("mask", 0.25)])
+def test_an_array_that_was_changed_is_refused_on_opening(saved, name, value):
+    load_model(saved)
+    rewritten(saved, lambda arrays, document: arrays[name].reshape(-1).__setitem__(3, value))
+    assert_refused(saved, "not finite" if np.isnan(value) else "was changed after it was written")
+
+
+def test_components_that_are_not_finite_are_refused_even_with_a_right_digest(saved):
+    def poisoned(arrays, document):
+        arrays["components"][1, 5] = np.inf
+        document["content_sha256"] = content_digest(arrays, document)
+
+    rewritten(saved, poisoned)
+    assert_refused(saved, "components holds values that are not finite")
 
 
 @pytest.mark.parametrize(
