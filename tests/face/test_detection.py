@@ -103,6 +103,20 @@ def test_order_of_the_candidates_does_not_matter():
     assert_allclose([f.corners for f in forth], [f.corners for f in back], rtol=1e-12)
 
 
+@pytest.mark.parametrize(("score", "count"), [(0.49, 0), (0.51, 1)])
+def test_a_box_is_a_candidate_from_half_of_the_score(score, count):
+    """CANDIDATE_SCORE."""
+    scores, regressors = np.full(896, -50.0), np.full((896, 16), 10.0)
+    scores[5] = np.log(score / (1 - score))
+    assert len(decode(scores, regressors)) == count
+
+
+@pytest.mark.parametrize(("right_px", "count"), [(5.0, 1), (5.8, 2)])
+def test_boxes_show_one_face_where_they_share_three_tenths(right_px, count):
+    """OVERLAP: of two boxes of 10 px, 5 of 15 or 4.2 of 15.8."""
+    assert len(suppress([box(0, 0, 10, 0.9), box(right_px, 0, 10, 0.8)])) == count
+
+
 def test_main_face_is_the_largest_sure_one():
     faces = [box(0, 0, 10, 0.95), box(50, 50, 30, 0.8), box(0, 50, 90, 0.69)]
     assert main_face(faces, 0.7) is faces[1]
