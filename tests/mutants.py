@@ -12,7 +12,8 @@ Each mutant lives in a copy of the project, never in the working tree. The defau
 tells what fails anyway, and which test runs which line. A mutant meets the tests that run its line, those of its own
 room first, and then the rest of their files; no other test could notice it. For a constant of a module these are the
 tests that run anything of that module. A mutant that passes has survived: a test is missing, or the change makes no
-difference that matters. `--reach FILE` keeps what the first run found, for runs after it.
+difference that matters. `--reach FILE` keeps what the first run found, for runs after it. A mutant without end counts
+as killed: no run may compute for ten times as long as its tests took, and two minutes, however busy the machine is.
 """
 
 from __future__ import annotations
@@ -290,6 +291,26 @@ class Copy:
         found = re.findall(r"^(?:FAILED|ERROR) (\S+)", out, re.MULTILINE)
         return "killed", " ".join(found) or out.strip().splitlines()[-1]
 
+    def names(self) -> set[str]:
+        """Return the names of all default tests."""
+        command = [
+            sys.executable,
+            "-m",
+            "pytest",
+            "-q",
+            "-n",
+            "0",
+            "-p",
+            "no:cacheprovider",
+            "--collect-only",
+        ]
+        path = os.pathsep.join([str(self.folder), str(self.folder / "tests")])
+        environment = {**os.environ, "PYTHONPATH": path, "PYTHONDONTWRITEBYTECODE": "1"}
+        found = subprocess.run(
+            command, cwd=self.folder, env=environment, capture_output=True, text=True, check=True
+        )
+        return {line for line in found.stdout.splitlines() if "::" in line}
+
     def reach(self, sites: list[list[Mutant]], options: argparse.Namespace) -> dict[str, dict[str, float]]:
         """Run the default tests once: give the tests that run each line, and each file, and for how many seconds."""
         lines: dict[str, list[int]] = {}
@@ -351,7 +372,12 @@ def judged(
         for copy in copies:
             shutil.copytree(ROOT, copy.folder, ignore=NOT_COPIED)
         if options.reach and options.reach.exists():
-            reach = json.loads(options.reach.read_text())
+            there = copies[0].names()  # pytest stops at a test that is gone, as at one that fails
+            known = json.loads(options.reach.read_text())
+            reach = {
+                place: {test: tests[test] for test in tests if test in there}
+                for place, tests in known.items()
+            }
         else:
             reach = copies[0].reach(sites, options)
             if options.reach:
