@@ -22,6 +22,7 @@ import numpy as np
 from morphspace.arrays import Image, LoadingTable, LoadingVector
 from morphspace.avatar import blend_steps
 from morphspace.avatar.pair import pair_model
+from morphspace.avatar.settings import blend_settings
 from morphspace.errors import BadInput
 from morphspace.flow.methods import DEFAULT
 from morphspace.io.clips import open_clip
@@ -33,18 +34,19 @@ from morphspace.model.loadings import Loadings
 from morphspace.model.model import MorphModel, load_model
 from morphspace.outcome import versions as package_versions
 from morphspace.requests import Workers, field_named, settings_in
-from morphspace.sets.continuum import continuum_drawings, spaced_series
+from morphspace.sets.continuum import GIVEN, continuum_drawings, spaced_series
 from morphspace.sets.mimicry import MimicSettings, drive_of
 from morphspace.settings import converted, field_of
 from morphspace.steps import Step, Steps, in_order, result_of, using_workers
+from morphspace.stimuli.caricature import change_of
 from morphspace.stimuli.continuum import Line, even_positions, given_positions
 from morphspace.stimuli.drawing import Drawing, check_name
 from morphspace.stimuli.drawn import draw
 from morphspace.stimuli.operations import Motion, operations_of, worked
 from morphspace.transfer.driver import UsedModel
-from morphspace.verbs.blend_avatar import BlendAvatarRequest, blend_settings
+from morphspace.verbs.blend_avatar import BlendAvatarRequest
 from morphspace.verbs.build_model import BuildModelRequest
-from morphspace.verbs.caricature import CaricatureRequest, change_of
+from morphspace.verbs.caricature import CaricatureRequest
 from morphspace.verbs.continuum import ContinuumRequest
 from morphspace.verbs.encode import EncodeRequest
 from morphspace.verbs.mimic import MimicRequest
@@ -457,7 +459,7 @@ def continuum(
     line = _line(first, last, model)
     spacing = request.spacing if request.positions is None else None
     series = result_of(spaced_series(line, positions, spacing, linear=False))
-    drawings = continuum_drawings(line, "continuum", series["continuum"], spacing or "given")
+    drawings = continuum_drawings(line, "continuum", series["continuum"], spacing or GIVEN)
     return _faces("continuum", line.model, drawings)
 
 

@@ -9,17 +9,23 @@ from typing import Any
 import numpy as np
 
 from morphspace.arrays import AnyArray
-from morphspace.avatar.source_frames import Clip
+from morphspace.avatar.source_frames import Clip, opened_clips
 from morphspace.errors import BadInput, SizeMismatch
-from morphspace.face.detector import Detector
+from morphspace.face.detector import Detector, detector_for
 from morphspace.model.keypoints import lip_of, required_faceframe
 from morphspace.model.model import MorphModel
+from morphspace.outcome import versions
+from morphspace.requests import settings_in
 from morphspace.transfer.mimicry import METHODS, Method
 
 AUTO = "auto"
 MEAN, SOURCE = "mean", "source"
 FLAT = "flat"
 EXPRESSION, REST = "expression", "rest"
+NO_FINDER = (
+    "blended without face detection: the keypoints are the sources', and no landmarks were learned; run `morphspace "
+    "models fetch` once to enable it, or give --landmarks none to hide this note"
+)
 MOST_SHARPEN = 3.0  # with more, edges ring
 
 
@@ -182,3 +188,16 @@ def method_of(asked: str, models: Sequence[MorphModel]) -> Method:
         if method == asked:
             return method
     return "guided" if all(model.landmarks is not None for model in models) else "transfer"
+
+
+def blend_settings(request: Any, models: Sequence[MorphModel]) -> tuple[AvatarSettings, tuple[str, ...]]:
+    """Open the detector and the clips of a request of `blend-avatar`; return its settings, and notes."""
+    detector, missing = detector_for(request.landmarks)
+    settings = settings_in(
+        request,
+        AvatarSettings,
+        detector=detector,
+        clips=None if request.clips is None else opened_clips(request.clips, models),
+        provenance={"identity": request.identity, "versions": versions()},
+    )
+    return settings, (NO_FINDER,) if missing else ()

@@ -209,3 +209,24 @@ def far_notes(model: MorphModel) -> tuple[str, ...]:
 
 def _listed(values: Any) -> str:
     return ", ".join(f"{value:.1f}" for value in values)
+
+
+def point_lines(model: MorphModel, previous: MorphModel | None = None) -> tuple[str, ...]:
+    """Report the keypoints of a model, and how far they moved from those of `previous`."""
+    if model.faceframe is None:
+        return ()
+    points = model.faceframe.points
+    lines = [
+        f"{name:<18} {x:.1f}, {y:.1f}"
+        for name, (x, y) in zip(point_names(model), points.tolist(), strict=True)
+    ]
+    if previous is not None and previous.faceframe is not None:
+        moved = np.hypot(*(points - previous.faceframe.points).T)
+        lines.append(f"the previous points moved by {', '.join(f'{value:.1f}' for value in moved)} px")
+    return tuple(lines)
+
+
+def points_document(model: MorphModel) -> dict[str, Any]:
+    """Return the keypoints of a model as JSON."""
+    points = None if model.faceframe is None else model.faceframe.points.tolist()
+    return {"model_id": model.model_id, "points": points, "lip": lip_of(model) if points else None}

@@ -428,3 +428,26 @@ def _component_rows(made: AvatarResult) -> list[Sequence[str]]:
         )
         for number in range(min(COMPONENTS_LISTED, model.rank))
     ]
+
+
+def blend_lines(avatar: Avatar, output: Path, report: Path) -> tuple[str, ...]:
+    """Report a blend in a few lines: its sources, its grid and its sharpness."""
+    model, sharpness = avatar.model, avatar.sharpness
+    wanted = float(sharpness["sources"] @ avatar.weights)
+    shares = ", ".join(
+        f"{name} {weight:.2g}" for name, weight in zip(avatar.identities, avatar.weights, strict=True)
+    )
+    drawn, pictures, plain = (
+        f"{sharpness[name] / wanted if wanted > 0 else 1.0:.0%}"
+        for name in ("blend", "pictures", "unsharpened")
+    )
+    return (
+        f"{output}: {model.identity}, blended of {shares}; {len(avatar.expressions)} expressions, "
+        f"{model.size[0]}x{model.size[1]}, {model.rank} components",
+        f"warped to {avatar.identities[avatar.reference_identity]}; hair, ears, neck and background of "
+        + ("nobody (flat grey)" if avatar.surround is None else avatar.identities[avatar.surround])
+        + f"; in {avatar.figures['expressions_with_one_left_out']} expressions an identity is left out",
+        f"sharpness relative to the sources: {drawn} rendered by the model; blended pictures {plain} plain, {pictures} "
+        f"sharpened by {avatar.sharpen:.2f}",
+        f"report: {report}",
+    )

@@ -13,8 +13,9 @@ from morphspace.arrays import Displacement, Points
 from morphspace.errors import BadInput, SizeMismatch
 from morphspace.flow import Flow, FlowMethod
 from morphspace.flow.baselines import LUMA
+from morphspace.flow.names import NAMES
 from morphspace.flow.pairs import checked_pair, is_featureless, is_grey
-from morphspace.flow.starts import Pair, as_grey, check_spread, flow_from_best
+from morphspace.flow.starts import WITHOUT_START, Pair, as_grey, check_spread, flow_from_best
 from morphspace.grid import warp
 from morphspace.io.flow_fields import read_flow
 from morphspace.io.images import read_image
@@ -167,3 +168,29 @@ def figure_words(figures: Mapping[str, Any]) -> tuple[tuple[str, str], ...]:
         rows.append(("start", ", back from ".join(figures["started_from"])))
         rows.append(("landmarks missed by", f"{figures['landmarks_missed_mean_px']:.2f} px"))
     return tuple(rows)
+
+
+def recorded_settings(request: Any, started_from: list[str]) -> dict[str, Any]:
+    """Return the settings of a request of `flow` for its record, and the start that each direction used."""
+    settings = {"preset": request.presets[0], "backend": request.backend, "both": request.both}
+    if request.landmarks is None:
+        return settings
+    return {**settings, "landmarks": [path.name for path in request.landmarks], "started_from": started_from}
+
+
+def check_start(preset: str, request: Any) -> None:
+    """Check that a preset can start from the landmarks or the field of a request. Raises `BadInput` otherwise."""
+    given = "landmarks" if request.landmarks is not None else "a field" if request.start is not None else None
+    if given is not None and preset in WITHOUT_START:
+        able = [name for name in NAMES if name not in WITHOUT_START]
+        raise BadInput(f"{preset} cannot start from {given}. Choose one of {', '.join(able)}")
+
+
+def input_files(request: Any) -> dict[str, Path]:
+    """Return the files that a request of `flow` reads, by their names in the record."""
+    inputs = dict(zip("AB", request.pictures, strict=True))
+    if request.start is not None:
+        inputs["start"] = request.start
+    if request.landmarks is not None:
+        inputs["landmarks of A"], inputs["landmarks of B"] = request.landmarks
+    return inputs

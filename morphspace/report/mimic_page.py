@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -12,6 +13,7 @@ from morphspace.arrays import Image, LoadingTable
 from morphspace.report import pictures
 from morphspace.report.page import Panel, render
 from morphspace.report.plots import SMALL_SIZE, Plot, line_plot
+from morphspace.transfer.quality_table import BEYOND, FLAGS, FOLDS, NO_FACE, TURNED
 
 PAIRS_SHOWN = 24  # pairs on the contact sheet
 TRACES_SHOWN = 8  # components plotted; the table has all
@@ -149,3 +151,39 @@ def _cell(name: str, value: Any) -> str:
         return ""
     _, decimals, factor = HEADINGS[name]
     return f"{(max(value, 0) if name in SHARES else value) * factor + 0.0:.{decimals}f}"
+
+
+def mimic_lines(
+    folder: Path, names: tuple[str, str], columns: Mapping[str, list[Any]], settings: Mapping[str, Any]
+) -> tuple[str, str]:
+    """Report a mimicry of `names` (source, target), from the columns of quality.csv."""
+    flags = columns["flags"]
+    kept, flagged = max(float(np.median(columns["warp_kept"])), 0), sum(map(bool, flags))
+    return (
+        f"{folder}: {names[1]} shows {len(flags)} frames of {names[0]} by {settings['method']}, gain "
+        f"{settings['gain']:.3g}; of the motion {kept:.0%} is kept (median), {flagged} frames are flagged",
+        f"page: {folder / 'index.html'}",
+    )
+
+
+def mimic_document(
+    folder: Path, model_id: str, columns: Mapping[str, list[Any]], settings: Mapping[str, Any]
+) -> dict[str, Any]:
+    """Return the outcome of a mimicry as JSON, from the columns of quality.csv."""
+    flags = columns["flags"]
+    counts = {flag: sum(flag in words.split() for words in flags) for flag in FLAGS}
+    return {
+        "output": str(folder),
+        "page": str(folder / "index.html"),
+        "frames": len(flags),
+        "flagged": sum(map(bool, flags)),
+        "no_face": counts[NO_FACE],
+        "out_of_range": counts[BEYOND],
+        "turned": counts[TURNED],
+        "folds": counts[FOLDS],
+        **{name: settings[name] for name in ("method", "gain", "max_sd", "neutral")},
+        "warp_kept_median": float(np.median(columns["warp_kept"])),
+        "missing_motion_median": float(np.median(columns["missing_motion"])),
+        "colour_agreement_median": float(np.median(columns["colour_agreement"])),
+        "model_id": model_id,
+    }

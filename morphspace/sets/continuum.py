@@ -26,7 +26,7 @@ from morphspace.sets.kept import digest_of_kept
 from morphspace.sets.manifest import Column
 from morphspace.sets.sources import LISTED, file_names
 from morphspace.steps import Step, Steps, in_order, single_threads
-from morphspace.stimuli.continuum import Line, Spacing, even_positions, spaced_positions
+from morphspace.stimuli.continuum import POWERS, Line, Spacing, even_positions, spaced_positions
 from morphspace.stimuli.drawing import Drawing
 from morphspace.stimuli.stepping import change, difference, unevenness
 from morphspace.stimuli.table_checks import check_table
@@ -35,6 +35,8 @@ from morphspace.storage import digest_of_file
 MODEL_SUFFIX = ".morph"
 TABLE_ROW = re.compile(r"(.+?\.csv):(.+)", re.IGNORECASE | re.DOTALL)
 PAIRS_KEPT = 8
+EQUAL = 0.03  # share of the mean step; steps that deviate more are not reported as equal
+GIVEN = "given"  # the spacing of positions that the user gives
 STEPS_NAME = "steps.csv"
 LINEAR = "linear"
 COLUMNS: Mapping[str, Column] = {
@@ -287,3 +289,30 @@ def unevenness_of(table: Mapping[str, Sequence[Any]]) -> dict[str, float]:
         name: unevenness(np.array(column_of(table, name, "size_of_mean")))
         for name in dict.fromkeys(table["series"])
     }
+
+
+def evenness_notes(table: Mapping[str, Sequence[Any]], spacing: str) -> tuple[str, ...]:
+    """Note steps that were to be equal in `spacing` and are not; `table` has the columns of steps.csv."""
+    if spacing not in POWERS:
+        return ()
+    off = unevenness(np.array(column_of(table, "continuum", "size_of_mean")))
+    if off <= EQUAL:
+        return ()
+    return (
+        f"the steps differ by up to {off:.1%} from their mean in {spacing}, which 8-bit colours may cause. Use fewer "
+        "steps, or ends that differ more",
+    )
+
+
+def step_lines(table: Mapping[str, Sequence[Any]], spacing: str) -> tuple[str, ...]:
+    """Report how even the steps are and how large, from the columns of steps.csv."""
+    off = unevenness_of(table)
+    steps, moved = column_of(table, "continuum", "ciede2000"), column_of(table, "continuum", "warp_rms_px")
+    faded = column_of(table, "continuum", "crossfade_ciede2000")
+    how = "as given" if spacing == GIVEN else f"equal in {spacing} to {off['continuum']:.1%}"
+    linear = f"; of the linear morph, to {off[LINEAR]:.1%}" if LINEAR in off else ""
+    return (
+        f"{len(steps)} steps, {how}{linear}",
+        f"a step changes CIEDE2000 {np.mean(steps):.3g} and the warp {np.mean(moved):.3g} px on average, a plain "
+        f"cross-fade CIEDE2000 {np.mean(faded):.3g}; {STEPS_NAME} has each",
+    )

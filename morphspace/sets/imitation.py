@@ -306,3 +306,32 @@ def _settings_words(
     if part is not None:
         where += f"; of the components it shows {', '.join(f'{x:.0%}' for x in part.visible_share[:8])} ..."
     return {"part of the face": where, **rows}
+
+
+def last_measures(comparison: Comparison) -> dict[str, float | None]:
+    """Return the measures of all components together as JSON, and the timing of the alignment."""
+    last = {name: float(values[-1]) for name, values in comparison.measures.items()}
+    measures = {name: value if np.isfinite(value) else None for name, value in last.items()}
+    return {**measures, "alignment_timing_rms_frames": comparison.alignment.timing_rms_frames}
+
+
+def measure_lines(folder: Path, made: WrittenImitation) -> tuple[str, ...]:
+    """Report a measured imitation in a few lines."""
+    last, entries = last_measures(made.comparison), made.entries
+    first = f"{folder}: {entries['paired_frames']} frames in pairs, {entries['components']} components"
+    if made.still:
+        return first, *made.still
+
+    def said(name: str, decimals: int = 2) -> str:
+        value = last[name]
+        return "undefined" if value is None else f"{value:.{decimals}f}"
+
+    return (
+        first,
+        f"correlation {said('correlation')} (p {said('correlation_p', 3)}), gain {said('gain')}, distance "
+        f"{said('distance_sd')} SD",
+        f"correlation at its best lag of {said('lag_frames', 0)} frames {said('correlation_at_lag')} (p "
+        f"{said('correlation_at_lag_p', 3)}, chance at its own best lag); aligned {said('correlation_aligned')} (p "
+        f"{said('correlation_aligned_p', 3)}, chance aligned too), frames moved by "
+        f"{made.comparison.alignment.timing_rms_frames:.1f} rms",
+    )

@@ -8,6 +8,9 @@ import tempfile
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
+
+import numpy as np
 
 from morphspace.cache import work_folder
 from morphspace.errors import BadInput, UnreadableFile
@@ -225,3 +228,73 @@ def _is_unchanged(copy: Path) -> bool:
     except BadInput:
         return False
     return True
+
+
+def build_lines(made: WrittenModel, output: Path, report: Path) -> tuple[str, ...]:
+    """Report a build in a few lines."""
+    build, model = made.build, made.build.model
+    psnr, share = np.array(made.case.figures.psnr_db), model.basis.variance_explained
+    return (
+        f"{output}: {model.identity}, {len(model.training.frame_names)} frames, {model.size[0]}x{model.size[1]}, "
+        f"{model.rank} components ({share:.1%} of the variance)",
+        f"reference {build.choice.name}: {build.choice.reason}",
+        *_held_out_lines(build),
+        f"training frames are reconstructed at {np.median(psnr):.1f} dB (median), {np.percentile(psnr, 10):.1f} dB "
+        f"(10th percentile); {build.fold_fractions.mean():.2%} of the warp folds",
+        f"flow {model.flow}: confidence {build.confidences.mean():.2f} (mean), {build.confidences.min():.2f} (lowest); "
+        f"{int(build.from_neighbour.sum())} frames kept from a neighbour's start",
+        *_found_lines(build),
+        f"report: {report}",
+    )
+
+
+def _held_out_lines(build: Build) -> tuple[str, ...]:
+    if build.held_out_db is None:
+        return ()
+    return (f"frames left out of the components are reconstructed at {build.held_out_db:.1f} dB (mean)",)
+
+
+def _found_lines(build: Build) -> tuple[str, ...]:
+    """Describe in how many frames the face was found, and the crop if it was found automatically."""
+    framing = build.model.provenance["framing"]
+    lines: tuple[str, ...] = ()
+    if "crop_found" in framing:
+        search = framing["crop_found"]
+        box = ",".join(map(str, framing["crop"]))
+        lines += (f"crop {box}: around the head, found in {search['found']} of {search['frames']} frames",)
+    if build.faces_found is not None:
+        keypoints = "set" if build.model.faceframe is not None else "not set"
+        if build.model.faceframe is not None and build.model.landmarks is None:
+            keypoints += (
+                " as marked, landmarks not learned: `morphspace keypoints MODEL --auto` sets and learns both"
+            )
+        lines += (
+            f"face found in {int(build.faces_found.sum())} of {len(build.faces_found)} frames; keypoints {keypoints}",
+        )
+    return lines
+
+
+def build_document(made: WrittenModel) -> dict[str, Any]:
+    """Return the figures of a build as JSON."""
+    build, model = made.build, made.build.model
+    psnr = np.array(made.case.figures.psnr_db)
+    return {
+        "model_id": model.model_id,
+        "identity": model.identity,
+        "frames": len(model.training.frame_names),
+        "size": list(model.size),
+        "components": model.rank,
+        "variance_explained": model.basis.variance_explained,
+        "reference": build.choice.name,
+        "warp_weight": model.warp_weight,
+        "psnr_db_held_out": build.held_out_db,
+        "psnr_db_median": float(np.median(psnr)),
+        "psnr_db_10th_percentile": float(np.percentile(psnr, 10)),
+        "fold_fraction": float(build.fold_fractions.mean()),
+        "flow_confidence_mean": float(build.confidences.mean()),
+        "flow_confidence_lowest": float(build.confidences.min()),
+        "neighbour_starts": int(build.from_neighbour.sum()),
+        "crop": model.provenance["framing"]["crop"],
+        "frames_with_face": None if build.faces_found is None else int(build.faces_found.sum()),
+        "keypoints": None if model.faceframe is None else model.faceframe.points.tolist(),
+    }

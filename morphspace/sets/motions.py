@@ -11,8 +11,10 @@ import numpy as np
 
 from morphspace.arrays import AnyArray
 from morphspace.errors import BadInput, ReferenceMismatch
-from morphspace.io.tables import read_loadings_table
+from morphspace.io.tables import read_loadings_table, write_loadings_table
 from morphspace.model.model import MorphModel
+from morphspace.outcome import versions
+from morphspace.requests import request_document
 from morphspace.sets.kept import digest_of_kept
 from morphspace.sets.manifest import Column
 from morphspace.sets.plan import KEPT_STEMS
@@ -165,8 +167,8 @@ def _share(step: float, median: float) -> float | None:
 
 
 def told_of(made: MadeMotions, motion: Motion, weights: AnyArray, seed: int) -> dict[str, Any]:
-    """Return the manifest entries of a motion (`COLUMNS`); `weights` (k,) are the SDs of its loadings."""
-    median, largest, closing = _steps(motion, weights)
+    """Return the manifest entries of a motion (`COLUMNS`); `weights` are the SDs of the model."""
+    median, largest, closing = _steps(motion, weights[: motion.loadings_sd.shape[1]])
     entries: dict[str, Any] = {
         "tables": " ".join(made.names),
         "operations": " ".join(map(str, made.operations)),
@@ -178,3 +180,22 @@ def told_of(made: MadeMotions, motion: Motion, weights: AnyArray, seed: int) -> 
     if any(one.word.startswith("scramble") for one in made.operations):
         entries["seed"] = seed
     return entries
+
+
+def write_motion(path: Path, made: MadeMotions, model: MorphModel, request: Any) -> None:
+    """Write the only motion as a table of loadings with its sidecar; `request` is that of `trajectory`."""
+    (motion,) = made.motions
+    count = len(motion.loadings_sd)
+    document = {
+        "model_id": model.model_id,
+        "model_sha256": digest_of_kept(request.model),
+        "identity": model.identity,
+        "consent": model.provenance.get("consent"),
+        "licence": model.provenance.get("licence"),
+        "frame_rate_hz": motion.rate_hz,
+        "inputs": dict(made.inputs),
+        "trajectory": {"request": request_document(request), **told_of(made, motion, model.sd, request.seed)},
+        "versions": versions(),
+    }
+    names = [f"frame_{row:0{max(4, len(str(count - 1)))}d}" for row in range(count)]
+    write_loadings_table(path, motion.loadings_sd, names, document)

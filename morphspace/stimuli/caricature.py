@@ -6,7 +6,7 @@ Gain 1 is veridical, above 1 a caricature, between 0 and 1 an anti-caricature, 0
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -22,6 +22,8 @@ from morphspace.stimuli.drawing import Drawing
 from morphspace.storage import digest_of_file
 
 PICTURE_SUFFIXES = (".png", ".tif", ".tiff", ".jpg", ".jpeg", ".exr", ".bmp")  # of a region's mask
+Change = Callable[..., list[Drawing]]
+"""Plans the drawings of faces: from a name, loadings (n, k) in SD, and the frame rate of a video, Hz."""
 SPAN = re.compile(r"([0-9]{1,5})(?:-([0-9]{1,5}))?")
 
 
@@ -149,3 +151,54 @@ def caricature_region(region: str | None, model: MorphModel) -> tuple[Mask | Non
             f"frames of {model.identity}. Paint it on a rendered mean face"
         )
     return mask, {"region": digest_of_file(path)}
+
+
+def change_of(request: Any, model: MorphModel) -> tuple[Change, dict[str, str]]:
+    """Check gains, components and region of a request of `caricature`; return its change, and the region's digest."""
+    gains = crossed_gains(request.gains, request.warp_gains, request.texture_gains)
+    components = None if request.components is None else components_named(request.components, model.rank)
+    mask, inputs = caricature_region(request.region, model)
+
+    def drawings(name: str, veridical: LoadingTable, frame_rate_hz: float | None = None) -> list[Drawing]:
+        return [
+            caricature_drawing(
+                name,
+                veridical,
+                one,
+                components=components,
+                components_named_as=request.components,
+                region=request.region,
+                mask=mask,
+                frame_rate_hz=frame_rate_hz,
+                suffix=request.video or ".png",
+            )
+            for one in gains
+        ]
+
+    return drawings, inputs
+
+
+def crossed_gains(
+    gains: Sequence[float], warp_gains: Sequence[float] | None, texture_gains: Sequence[float] | None
+) -> list[dict[str, float]]:
+    """Return the gains of each version: one for all loadings, or those of warp and texture, crossed.
+
+    Raises
+    ------
+    BadInput
+        If a gain is given twice.
+
+    Examples
+    --------
+    >>> crossed_gains((1.0, 2.0), None, (0.5,))
+    [{'warp_gain': 1.0, 'texture_gain': 0.5}, {'warp_gain': 2.0, 'texture_gain': 0.5}]
+    """
+    for given, what in ((gains, "gain"), (warp_gains, "warp gain"), (texture_gains, "texture gain")):
+        for gain in given or ():
+            if (given or ()).count(gain) > 1:
+                raise BadInput(f"the {what} {gain:g} was given twice. Give each once")
+    if warp_gains is None and texture_gains is None:
+        return [{"gain": gain} for gain in gains]
+    warps = gains if warp_gains is None else warp_gains
+    textures = gains if texture_gains is None else texture_gains
+    return [{"warp_gain": one, "texture_gain": other} for one in warps for other in textures]

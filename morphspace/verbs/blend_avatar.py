@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
@@ -10,20 +9,14 @@ from annotated_types import Ge, Le
 
 from morphspace.errors import BadInput
 from morphspace.flow.names import DEFAULT, NAMES
-from morphspace.requests import ClipText, MaxSd, MimicryMethod, declared, settings_in
+from morphspace.requests import ClipText, MaxSd, MimicryMethod, declared
 from morphspace.settings import Argument, Help, OneOf, Option, Spelled
 
 if TYPE_CHECKING:
-    from morphspace.avatar import Avatar, AvatarSettings
-    from morphspace.model.model import MorphModel
     from morphspace.outcome import Outcome
     from morphspace.steps import Steps
 
 SUFFIX = ".morph"
-NO_FINDER = (
-    "blended without face detection: the keypoints are the sources', and no landmarks were learned; run `morphspace "
-    "models fetch` once to enable it, or give --landmarks none to hide this note"
-)
 
 
 @declared
@@ -119,27 +112,26 @@ class BlendAvatarRequest:
 
 def run(request: BlendAvatarRequest) -> Steps[Outcome]:
     """Blend the identities, build a model of them, and write the model and its page."""
-    from morphspace.avatar import blend_steps
-    from morphspace.avatar.build import checked
+    from morphspace.avatar.build import blend_steps, checked
+    from morphspace.avatar.settings import blend_settings
     from morphspace.cache import work_folder
     from morphspace.model.model import load_model
-    from morphspace.report.avatar_page import avatar_page, avatar_result, landmark_words
+    from morphspace.outcome import Outcome
+    from morphspace.report.avatar_page import avatar_page, avatar_result, blend_lines, landmark_words
     from morphspace.sets.models import held_models
     from morphspace.sets.protect import Output, check_file, writing
     from morphspace.storage import digest_of_file, write_text
 
     paths = [Path(given) for given in request.models]
     if not request.output.name:
-        raise BadInput(
-            f"the output {request.output} is a folder. Give a file to write, such as avatar{SUFFIX}"
-        )
+        raise BadInput(f"the output {request.output} is a folder. Give a file, such as avatar{SUFFIX}")
     report = request.report or request.output.with_suffix(".html")
     check_file(request.output, SUFFIX)
     check_file(report, ".html")
     guarded = Output("blend-avatar", request.output, (request.output, report), inputs=paths)
     with held_models(paths) as held:
         models = [load_model(path) for path in held]
-        settings, missing = blend_settings(request, models)
+        settings, notes = blend_settings(request, models)
         checked(models, settings)  # before any folder is made
         digests = [digest_of_file(path) for path in held]
         with writing(guarded), work_folder(request.work_folder, request.output) as folder:
@@ -147,63 +139,12 @@ def run(request: BlendAvatarRequest) -> Steps[Outcome]:
             result = yield from avatar_result(avatar, models, settings)
             avatar.model.save(request.output)
             write_text(report, avatar_page(result))
-        advice = landmark_words(avatar, settings.detector is not None, request.output)
-        notes = (*((NO_FINDER,) if missing else ()), *avatar.notes, *advice)
-        return _outcome(avatar, request, report, digests, notes)
-
-
-def blend_settings(request: BlendAvatarRequest, models: Sequence[MorphModel]) -> tuple[AvatarSettings, bool]:
-    """Open the detector and the clips; return the settings of the blend, and whether the networks are missing."""
-    from morphspace.avatar import AvatarSettings
-    from morphspace.avatar.source_frames import opened_clips
-    from morphspace.face.detector import detector_for
-    from morphspace.outcome import versions
-
-    detector, missing = detector_for(request.landmarks)
-    settings = settings_in(
-        request,
-        AvatarSettings,
-        detector=detector,
-        clips=None if request.clips is None else opened_clips(request.clips, models),
-        provenance={"identity": request.identity, "versions": versions()},
-    )
-    return settings, bool(missing)
-
-
-def _outcome(
-    avatar: Avatar,
-    request: BlendAvatarRequest,
-    report: Path,
-    digests: Sequence[str],
-    notes: tuple[str, ...],
-) -> Outcome:
-    from morphspace.outcome import Outcome
-
-    model, sharpness = avatar.model, avatar.sharpness
-    wanted = float(sharpness["sources"] @ avatar.weights)
-    shares = ", ".join(
-        f"{name} {weight:.2g}" for name, weight in zip(avatar.identities, avatar.weights, strict=True)
-    )
-    left_out = avatar.figures["expressions_with_one_left_out"]
-    drawn, pictures, plain = (
-        f"{sharpness[name] / wanted if wanted > 0 else 1.0:.0%}"
-        for name in ("blend", "pictures", "unsharpened")
-    )
-    lines = (
-        f"{request.output}: {model.identity}, blended of {shares}; {len(avatar.expressions)} expressions, "
-        f"{model.size[0]}x{model.size[1]}, {model.rank} components",
-        f"warped to {avatar.identities[avatar.reference_identity]}; hair, ears, neck and background of "
-        + ("nobody (flat grey)" if avatar.surround is None else avatar.identities[avatar.surround])
-        + f"; in {left_out} expressions an identity is left out",
-        f"sharpness relative to the sources: {drawn} rendered by the model; blended pictures {plain} plain, {pictures} "
-        f"sharpened by {avatar.sharpen:.2f}",
-        f"report: {report}",
-    )
+        notes += (*avatar.notes, *landmark_words(avatar, settings.detector is not None, request.output))
     document = {
         "model": str(request.output),
         "report": str(report),
-        "sources_sha256": list(digests),
+        "sources_sha256": digests,
         "correspondence": request.correspondence,
         **avatar.figures,
     }
-    return Outcome(lines, document, notes, (request.output, report))
+    return Outcome(blend_lines(avatar, request.output, report), document, notes, (request.output, report))

@@ -12,7 +12,6 @@ from morphspace.requests import Clip, Crop, Size, declared, settings_in
 from morphspace.settings import Help, OneOf, Option, Spelled
 
 if TYPE_CHECKING:
-    from morphspace.model.passes import Build
     from morphspace.outcome import Outcome
     from morphspace.steps import Steps
 
@@ -82,14 +81,12 @@ class BuildModelRequest:
 
 def run(request: BuildModelRequest) -> Steps[Outcome]:
     """Build the model; write the model and its report."""
-    import numpy as np
-
     from morphspace import cache
     from morphspace.io.clips import open_clip
     from morphspace.model.from_clip import ClipSettings
     from morphspace.outcome import Outcome
     from morphspace.report.advice.build import advice_for
-    from morphspace.sets.models import written_model
+    from morphspace.sets.models import build_document, build_lines, written_model
     from morphspace.sets.protect import Output, check_file, writing
 
     settings = settings_in(request, ClipSettings)
@@ -101,70 +98,7 @@ def run(request: BuildModelRequest) -> Steps[Outcome]:
     guarded = Output("build-model", output, (output, report), inputs=clip.paths)
     with writing(guarded), cache.work_folder(request.work_folder, output) as work_folder:
         made = yield from written_model(clip, settings, output, report, work_folder)
-    build, model = made.build, made.build.model
-    psnr = np.array(made.case.figures.psnr_db)
-    share = model.basis.variance_explained
-    lines = (
-        f"{output}: {model.identity}, {len(clip)} frames, {model.size[0]}x{model.size[1]}, "
-        f"{model.rank} components ({share:.1%} of the variance)",
-        f"reference {build.choice.name}: {build.choice.reason}",
-        *_held_out_lines(build),
-        f"training frames are reconstructed at {np.median(psnr):.1f} dB (median), {np.percentile(psnr, 10):.1f} dB "
-        f"(10th percentile); {build.fold_fractions.mean():.2%} of the warp folds",
-        f"flow {model.flow}: confidence {build.confidences.mean():.2f} (mean), {build.confidences.min():.2f} (lowest); "
-        f"{int(build.from_neighbour.sum())} frames kept from a neighbour's start",
-        *_found_lines(build),
-        f"report: {report}",
-    )
-    document = {
-        "model": str(output),
-        "report": str(report),
-        "model_id": model.model_id,
-        "identity": model.identity,
-        "frames": len(clip),
-        "size": list(model.size),
-        "components": model.rank,
-        "variance_explained": share,
-        "reference": build.choice.name,
-        "warp_weight": model.warp_weight,
-        "psnr_db_held_out": build.held_out_db,
-        "psnr_db_median": float(np.median(psnr)),
-        "psnr_db_10th_percentile": float(np.percentile(psnr, 10)),
-        "fold_fraction": float(build.fold_fractions.mean()),
-        "flow_confidence_mean": float(build.confidences.mean()),
-        "flow_confidence_lowest": float(build.confidences.min()),
-        "neighbour_starts": int(build.from_neighbour.sum()),
-        "crop": model.provenance["framing"]["crop"],
-        "frames_with_face": None if build.faces_found is None else int(build.faces_found.sum()),
-        "keypoints": None if model.faceframe is None else model.faceframe.points.tolist(),
-    }
+    document = {"model": str(output), "report": str(report), **build_document(made)}
     advice = tuple(item.text for item in advice_for(made.case) if item.level == "mend")
-    return Outcome(
-        lines, document, (*made.notes, *dict.fromkeys((*build.warnings, *advice))), (output, report)
-    )
-
-
-def _held_out_lines(build: Build) -> tuple[str, ...]:
-    if build.held_out_db is None:
-        return ()
-    return (f"frames left out of the components are reconstructed at {build.held_out_db:.1f} dB (mean)",)
-
-
-def _found_lines(build: Build) -> tuple[str, ...]:
-    """Describe in how many frames the face was found, and the crop if it was found automatically."""
-    framing = build.model.provenance["framing"]
-    lines: tuple[str, ...] = ()
-    if "crop_found" in framing:
-        search = framing["crop_found"]
-        box = ",".join(map(str, framing["crop"]))
-        lines += (f"crop {box}: around the head, found in {search['found']} of {search['frames']} frames",)
-    if build.faces_found is not None:
-        keypoints = "set" if build.model.faceframe is not None else "not set"
-        if build.model.faceframe is not None and build.model.landmarks is None:
-            keypoints += (
-                " as marked, landmarks not learned: `morphspace keypoints MODEL --auto` sets and learns both"
-            )
-        lines += (
-            f"face found in {int(build.faces_found.sum())} of {len(build.faces_found)} frames; keypoints {keypoints}",
-        )
-    return lines
+    notes = (*made.notes, *dict.fromkeys((*made.build.warnings, *advice)))
+    return Outcome(build_lines(made, output, report), document, notes, (output, report))

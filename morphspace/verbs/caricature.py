@@ -5,7 +5,6 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-from morphspace.errors import BadInput
 from morphspace.requests import (
     ClipText,
     Folder,
@@ -19,16 +18,10 @@ from morphspace.requests import (
 from morphspace.settings import Help, Option
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from morphspace.arrays import LoadingTable
     from morphspace.model.model import MorphModel
     from morphspace.outcome import Outcome
     from morphspace.sets.plan import PlannedSet
     from morphspace.steps import Steps
-    from morphspace.stimuli.drawing import Drawing
-
-    Change = Callable[..., list[Drawing]]
 
 
 @declared
@@ -100,6 +93,7 @@ def plan(request: CaricatureRequest, model: MorphModel | None = None) -> Steps[P
     from morphspace.model.model import load_model
     from morphspace.sets.plan import plan_of
     from morphspace.sets.sources import faces_of
+    from morphspace.stimuli.caricature import change_of
 
     model = model or load_model(request.model)
     change, inputs = change_of(request, model)
@@ -115,51 +109,3 @@ def plan(request: CaricatureRequest, model: MorphModel | None = None) -> Steps[P
     return plan_of(
         request, "caricature", model, drawings, inputs={**faces.inputs, **inputs}, notes=faces.notes
     )
-
-
-def change_of(request: CaricatureRequest, model: MorphModel) -> tuple[Change, dict[str, str]]:
-    """Check gains, components and region; return the change of faces, and the digest of the region's file."""
-    from morphspace.stimuli.caricature import caricature_drawing, caricature_region, components_named
-
-    for given, what in (
-        (request.gains, "gain"),
-        (request.warp_gains, "warp gain"),
-        (request.texture_gains, "texture gain"),
-    ):
-        check_gains(given, what)
-    components = None if request.components is None else components_named(request.components, model.rank)
-    mask, inputs = caricature_region(request.region, model)
-
-    def drawings(name: str, veridical_sd: LoadingTable, frame_rate_hz: float | None = None) -> list[Drawing]:
-        return [
-            caricature_drawing(
-                name,
-                veridical_sd,
-                gains,
-                components=components,
-                components_named_as=request.components,
-                region=request.region,
-                mask=mask,
-                frame_rate_hz=frame_rate_hz,
-                suffix=request.video or ".png",
-            )
-            for gains in _gains(request)
-        ]
-
-    return drawings, inputs
-
-
-def check_gains(gains: tuple[float, ...] | None, what: str) -> None:
-    """Check that each gain is given once. Raises `BadInput` otherwise."""
-    for gain in gains or ():
-        if (gains or ()).count(gain) > 1:
-            raise BadInput(f"the {what} {gain:g} was given twice. Give each once")
-
-
-def _gains(request: CaricatureRequest) -> list[dict[str, float]]:
-    """Return the gains of each version: one for all loadings, or those of warp and texture, crossed."""
-    if request.warp_gains is None and request.texture_gains is None:
-        return [{"gain": gain} for gain in request.gains]
-    warps = request.warp_gains if request.warp_gains is not None else request.gains
-    textures = request.texture_gains if request.texture_gains is not None else request.gains
-    return [{"warp_gain": one, "texture_gain": other} for one in warps for other in textures]

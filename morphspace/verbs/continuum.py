@@ -6,10 +6,9 @@ model of the pair is built and stored beside the stimuli.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 from annotated_types import Ge, Le
 
@@ -21,8 +20,6 @@ if TYPE_CHECKING:
     from morphspace.outcome import Outcome
     from morphspace.sets.plan import PlannedSet
     from morphspace.steps import Steps
-
-EQUAL = 0.03  # share of the mean step; steps that deviate more are not reported as equal
 
 
 @declared
@@ -71,16 +68,17 @@ class ContinuumRequest:
 
 def run(request: ContinuumRequest) -> Steps[Outcome]:
     """Write the set of stimuli."""
-    from morphspace.sets.continuum import STEPS_NAME, unevenness_of
+    from morphspace.sets.continuum import STEPS_NAME, step_lines, unevenness_of
     from morphspace.sets.stimulus_set import write_set
 
     planned = yield from plan(request)
     outcome = yield from write_set(planned, request.output)
     kept = () if request.model is not None else (planned.model_path,)
+    table = planned.tables[STEPS_NAME]
     return replace(
         outcome,
-        lines=(*outcome.lines, *_said(request, planned)),
-        document={**outcome.document, "unevenness": unevenness_of(planned.tables[STEPS_NAME])},
+        lines=(*outcome.lines, *step_lines(table, _spacing(request))),
+        document={**outcome.document, "unevenness": unevenness_of(table)},
         written=(*outcome.written, *kept),
     )
 
@@ -97,6 +95,7 @@ def plan(request: ContinuumRequest, model: MorphModel | None = None) -> Steps[Pl
         STEPS_NAME,
         continuum_drawings,
         continuum_ends,
+        evenness_notes,
         measured_steps,
         spaced_series,
     )
@@ -113,7 +112,7 @@ def plan(request: ContinuumRequest, model: MorphModel | None = None) -> Steps[Pl
     series = yield from spaced_series(
         line, steps, None if positions is not None else request.spacing, linear=request.control == LINEAR
     )
-    spacing = request.spacing if request.positions is None else "given"
+    spacing = _spacing(request)
     drawings = [
         drawing
         for name, places in series.items()
@@ -128,7 +127,7 @@ def plan(request: ContinuumRequest, model: MorphModel | None = None) -> Steps[Pl
         model_sha256=ends.model_sha256,
         inputs={"model": ends.model_sha256, **ends.inputs},
         drawings=tuple(drawings),
-        notes=(*ends.notes, *_notes(request, table)),
+        notes=(*ends.notes, *evenness_notes(table, spacing)),
         tables={STEPS_NAME: table},
         columns=COLUMNS,
         new_model=request.model is None,
@@ -136,41 +135,7 @@ def plan(request: ContinuumRequest, model: MorphModel | None = None) -> Steps[Pl
     )
 
 
-def _notes(request: ContinuumRequest, table: Mapping[str, Sequence[Any]]) -> tuple[str, ...]:
-    import numpy as np
+def _spacing(request: ContinuumRequest) -> str:
+    from morphspace.sets.continuum import GIVEN
 
-    from morphspace.sets.continuum import column_of
-    from morphspace.stimuli.continuum import POWERS
-    from morphspace.stimuli.stepping import unevenness
-
-    if request.positions is not None or request.spacing not in POWERS:
-        return ()
-    off = unevenness(np.array(column_of(table, "continuum", "size_of_mean")))
-    if off <= EQUAL:
-        return ()
-    return (
-        f"the steps differ by up to {off:.1%} from their mean in {request.spacing}, which 8-bit colours may "
-        "cause: use fewer steps, or ends that differ more",
-    )
-
-
-def _said(request: ContinuumRequest, planned: PlannedSet) -> tuple[str, ...]:
-    import numpy as np
-
-    from morphspace.sets.continuum import LINEAR, STEPS_NAME, column_of, unevenness_of
-
-    table = planned.tables[STEPS_NAME]
-    off = unevenness_of(table)
-    steps, moved = column_of(table, "continuum", "ciede2000"), column_of(table, "continuum", "warp_rms_px")
-    faded = column_of(table, "continuum", "crossfade_ciede2000")
-    how = (
-        "as given"
-        if request.positions is not None
-        else f"equal in {request.spacing} to {off['continuum']:.1%}"
-    )
-    linear = f"; of the linear morph, to {off[LINEAR]:.1%}" if LINEAR in off else ""
-    return (
-        f"{len(steps)} steps, {how}{linear}",
-        f"a step changes CIEDE2000 {np.mean(steps):.3g} and the warp {np.mean(moved):.3g} px on average, a plain "
-        f"cross-fade CIEDE2000 {np.mean(faded):.3g}; {STEPS_NAME} has each",
-    )
+    return request.spacing if request.positions is None else GIVEN

@@ -6,7 +6,7 @@ With scenes of known flow it measures the errors of estimators instead: the usua
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 from morphspace.errors import BadInput
 from morphspace.flow.names import BACKENDS, DEFAULT, DEFAULT_BACKEND, NAMES, STOCK
@@ -91,11 +91,10 @@ class FlowRequest:
 def run(request: FlowRequest) -> Steps[Outcome]:
     """Find the flow, write it with a record, and draw it."""
     from morphspace.flow import methods
-    from morphspace.flow.starts import WITHOUT_START
     from morphspace.io.flow_fields import write_flows
     from morphspace.io.images import write_image
     from morphspace.outcome import RECORD_NAME, Outcome, write_record
-    from morphspace.report.flow_figures import figure_words, found_flows, read_pair
+    from morphspace.report import flow_figures
     from morphspace.report.flow_picture import flow_picture
     from morphspace.report.flow_scenes import measured_scenes
     from morphspace.sets.protect import Output, writing
@@ -107,53 +106,37 @@ def run(request: FlowRequest) -> Steps[Outcome]:
     (reference, frame), (preset,), output = request.pictures, request.presets, request.output
     back = output.with_name(f"{output.stem}.back{output.suffix}")
     method = methods.named(preset, request.backend)
-    given = "landmarks" if request.landmarks is not None else "a field" if request.start is not None else None
-    if given is not None and preset in WITHOUT_START:
-        able = [name for name in methods.NAMES if name not in WITHOUT_START]
-        raise BadInput(f"{preset} cannot start from {given}. Choose one of {', '.join(able)}")
-    inputs = _inputs(request)
+    flow_figures.check_start(preset, request)
+    inputs = flow_figures.input_files(request)
     record = output.with_name(f"{output.name}.{RECORD_NAME}")
     wanted = [output, *([back] if request.both else []), *([request.picture] if request.picture else [])]
     _check_names(wanted, request.picture)
     with writing(Output("flow", output, (*wanted, record), inputs=tuple(inputs.values()))):
-        pair = read_pair(reference, frame, request.start, request.landmarks)
-        found = yield from found_flows(method, pair, both=request.both)
+        pair = flow_figures.read_pair(reference, frame, request.start, request.landmarks)
+        found = yield from flow_figures.found_flows(method, pair, both=request.both)
         flows = {output: found.flow, **({} if found.back is None else {back: found.back})}
         write_flows({path: (one.displacement, one.confidence) for path, one in flows.items()})
         written, figures = list(flows), found.figures
         if request.picture is not None:
             names = (reference.name, frame.name)
             sheet = flow_picture(
-                pair.reference, pair.frame, found.flow, names=names, figures=figure_words(figures)
+                pair.reference,
+                pair.frame,
+                found.flow,
+                names=names,
+                figures=flow_figures.figure_words(figures),
             )
             write_image(request.picture, sheet)
             written.append(request.picture)
         digests = {name: digest_of_file(path) for name, path in inputs.items()}
-        settings = _settings(request, found.started_from)
+        settings = flow_figures.recorded_settings(request, found.started_from)
         write_record(output.parent, "flow", settings, digests, written, record.name)
     lines = (
         f"{output}: from {reference.name} to {frame.name} by {preset}",
-        *(f"{name:<22}{value}" for name, value in figure_words(figures)),
+        *(f"{name:<22}{value}" for name, value in flow_figures.figure_words(figures)),
     )
     document = {"output": str(output), "preset": preset, **figures}
     return Outcome(lines, document, pair.notes, (*written, record))
-
-
-def _inputs(request: FlowRequest) -> dict[str, Path]:
-    inputs = dict(zip("AB", request.pictures, strict=True))
-    if request.start is not None:
-        inputs["start"] = request.start
-    if request.landmarks is not None:
-        inputs["landmarks of A"], inputs["landmarks of B"] = request.landmarks
-    return inputs
-
-
-def _settings(request: FlowRequest, taken: list[str]) -> dict[str, Any]:
-    """Return the settings, with the names of landmark files and the start used (`taken`) in each direction."""
-    settings = {"preset": request.presets[0], "backend": request.backend, "both": request.both}
-    if request.landmarks is None:
-        return settings
-    return {**settings, "landmarks": [path.name for path in request.landmarks], "started_from": taken}
 
 
 def _check_names(wanted: list[Path], picture: Path | None) -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 from morphspace.errors import BadInput
 from morphspace.requests import Model, declared
@@ -71,12 +71,7 @@ def run(request: KeypointsRequest, detector: Detector | None = None) -> Steps[Ou
 
     from morphspace.face.detector import load_detector
     from morphspace.io.images import write_image
-    from morphspace.model.keypoint_sources import (
-        detected_keypoints,
-        far_notes,
-        given_keypoints,
-        read_keypoints,
-    )
+    from morphspace.model import keypoint_sources as sources
     from morphspace.model.model import load_model
     from morphspace.outcome import Outcome
     from morphspace.report.pictures import marked_face
@@ -91,11 +86,11 @@ def run(request: KeypointsRequest, detector: Detector | None = None) -> Steps[Ou
     picture = output.with_name(f"{output.stem}.keypoints.png")
     kept = () if request.file is None else (request.file,)
     if request.automatic:
-        found = yield from detected_keypoints(model, detector or load_detector())
+        found = yield from sources.detected_keypoints(model, detector or load_detector())
     elif request.file is not None:
-        found = read_keypoints(model, request.file, request.lip, request.y_axis, request.on)
+        found = sources.read_keypoints(model, request.file, request.lip, request.y_axis, request.on)
     else:
-        found = given_keypoints(model, np.array(request.points, np.float64), request.lip, request.on)
+        found = sources.given_keypoints(model, np.array(request.points, np.float64), request.lip, request.on)
     changed = model.with_faceframe(found.faceframe, found.origin)
     if request.automatic:
         changed = changed.with_landmarks(found.landmarks)
@@ -105,32 +100,28 @@ def run(request: KeypointsRequest, detector: Detector | None = None) -> Steps[Ou
         write_image(picture, marked_mean)
     lines = (
         f"{output}: keypoints of {model.identity} set",
-        *_lines(changed),
+        *sources.point_lines(changed, model),
         *found.lines,
         f"picture: {picture}",
     )
-    if model.faceframe is not None:
-        moved = np.hypot(*(found.faceframe.points - model.faceframe.points).T)
-        far = ", ".join(f"{value:.1f}" for value in moved)
-        lines += (f"the previous points moved by {far} px",)
     document = {
-        **_document(changed),
+        **sources.points_document(changed),
         "output": str(output),
         "picture": str(picture),
         "origin": dict(found.origin),
         "landmarks": None if changed.landmarks is None else changed.landmarks.document(),
     }
-    notes = found.notes if request.automatic else (*found.notes, *far_notes(changed))
+    notes = found.notes if request.automatic else (*found.notes, *sources.far_notes(changed))
     return Outcome(lines, document, notes, (output, picture))
 
 
 def _check(request: KeypointsRequest) -> None:
-    sources = {
+    ways = {
         "--auto": request.automatic,
         "--set": request.points is not None,
         "--from": request.file is not None,
     }
-    given = [name for name, is_given in sources.items() if is_given]
+    given = [name for name, is_given in ways.items() if is_given]
     if len(given) > 1:
         raise BadInput(
             f"{' and '.join(given)} were given; expected one source of keypoints. Leave out the other"
@@ -146,28 +137,11 @@ def _check(request: KeypointsRequest) -> None:
 
 
 def _shown(path: Path, model: MorphModel) -> Outcome:
+    from morphspace.model import keypoint_sources as sources
     from morphspace.outcome import Outcome
 
     if model.faceframe is None:
         lines: tuple[str, ...] = (f"{path}: no keypoints are set. Give --auto, --set or --from",)
     else:
-        lines = (f"{path}: keypoints of {model.identity}", *_lines(model))
-    return Outcome(lines, _document(model))
-
-
-def _lines(model: MorphModel) -> tuple[str, ...]:
-    from morphspace.model.keypoints import point_names
-
-    if model.faceframe is None:
-        return ()
-    points = model.faceframe.points.tolist()
-    return tuple(
-        f"{name:<18} {x:.1f}, {y:.1f}" for name, (x, y) in zip(point_names(model), points, strict=True)
-    )
-
-
-def _document(model: MorphModel) -> dict[str, Any]:
-    from morphspace.model.keypoints import lip_of
-
-    points = None if model.faceframe is None else model.faceframe.points.tolist()
-    return {"model_id": model.model_id, "points": points, "lip": lip_of(model) if points else None}
+        lines = (f"{path}: keypoints of {model.identity}", *sources.point_lines(model))
+    return Outcome(lines, sources.points_document(model))

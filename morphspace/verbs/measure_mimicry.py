@@ -19,7 +19,6 @@ if TYPE_CHECKING:
     from morphspace.face.detector import Detector
     from morphspace.model.model import MorphModel
     from morphspace.outcome import Outcome
-    from morphspace.sets.imitation import WrittenImitation
     from morphspace.steps import Steps
 
 FACES_MISSING = 3  # exit code: done, but some frames show no face
@@ -83,7 +82,15 @@ def run(request: MeasureMimicryRequest, detector: Detector | None = None) -> Ste
     """
     from morphspace.face.detector import own_detector
     from morphspace.model.model import load_model
-    from morphspace.sets.imitation import VERB, WRITTEN, MeasureSettings, written_imitation
+    from morphspace.outcome import Outcome
+    from morphspace.sets.imitation import (
+        VERB,
+        WRITTEN,
+        MeasureSettings,
+        last_measures,
+        measure_lines,
+        written_imitation,
+    )
     from morphspace.sets.protect import Output, check_file, writing
 
     model = load_model(request.model)
@@ -109,7 +116,9 @@ def run(request: MeasureMimicryRequest, detector: Detector | None = None) -> Ste
             settings,
             detector or own_detector(),
         )
-    return _outcome(folder, made)
+    document = {"output": str(folder), **made.entries, **last_measures(made.comparison)}
+    missed = FACES_MISSING if made.entries["no_face"] else 0
+    return Outcome(measure_lines(folder, made), document, made.notes, made.files, missed)
 
 
 def _check_request(request: MeasureMimicryRequest, model: MorphModel) -> None:
@@ -119,38 +128,3 @@ def _check_request(request: MeasureMimicryRequest, model: MorphModel) -> None:
         raise BadInput(f"{request.model} has 0 components; expected at least one. Build it from more frames")
     if request.mask is not None and request.region != WHOLE:
         raise BadInput(f"both the mask {request.mask} and the region {request.region} were given. Give one")
-
-
-def _outcome(folder: Path, made: WrittenImitation) -> Outcome:
-    import numpy as np
-
-    from morphspace.outcome import Outcome
-
-    comparison, entries = made.comparison, made.entries
-    last = {name: float(values[-1]) for name, values in comparison.measures.items()}
-    document = {name: value if np.isfinite(value) else None for name, value in last.items()}
-    document |= {"alignment_timing_rms_frames": comparison.alignment.timing_rms_frames}
-
-    def said(name: str, decimals: int = 2) -> str:
-        return f"{last[name]:.{decimals}f}" if np.isfinite(last[name]) else "undefined"
-
-    missed = FACES_MISSING if entries["no_face"] else 0
-    first = f"{folder}: {entries['paired_frames']} frames in pairs, {entries['components']} components"
-    if made.still:
-        return Outcome(
-            (first, *made.still),
-            {"output": str(folder), **entries, **document},
-            made.notes,
-            made.files,
-            missed,
-        )
-    lines = (
-        first,
-        f"correlation {said('correlation')} (p {said('correlation_p', 3)}), gain {said('gain')}, distance "
-        f"{said('distance_sd')} SD",
-        f"correlation at its best lag of {said('lag_frames', 0)} frames {said('correlation_at_lag')} (p "
-        f"{said('correlation_at_lag_p', 3)}, chance at its own best lag); aligned {said('correlation_aligned')} (p "
-        f"{said('correlation_aligned_p', 3)}, chance aligned too), frames moved by "
-        f"{comparison.alignment.timing_rms_frames:.1f} rms",
-    )
-    return Outcome(lines, {"output": str(folder), **entries, **document}, made.notes, made.files, missed)

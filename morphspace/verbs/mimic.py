@@ -6,7 +6,6 @@ driving frames.
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
 from annotated_types import Ge, Le
@@ -17,9 +16,8 @@ from morphspace.settings import Help, Option
 if TYPE_CHECKING:
     from morphspace.face.detector import Detector
     from morphspace.io.clips import Clip
-    from morphspace.model.model import MorphModel
     from morphspace.outcome import Outcome
-    from morphspace.sets.mimicry import MimicSettings, WrittenMimicry
+    from morphspace.sets.mimicry import MimicSettings
     from morphspace.steps import Steps
     from morphspace.transfer.driver import UsedModel
 
@@ -91,6 +89,8 @@ def run(request: MimicRequest, detector: Detector | None = None) -> Steps[Outcom
     """
     from morphspace.face.detector import own_detector
     from morphspace.io.clips import Clip
+    from morphspace.outcome import Outcome
+    from morphspace.report.mimic_page import mimic_document, mimic_lines
     from morphspace.sets.mimicry import output_of, written_mimicry
     from morphspace.sets.models import ready_model
     from morphspace.sets.protect import MODELS_FOLDER, told_what_stays, writing
@@ -106,7 +106,11 @@ def run(request: MimicRequest, detector: Detector | None = None) -> Steps[Outcom
         source, target = models
         driver = training_driver(source) if request.frames is None else clip_driver(source, request.frames)
         made = yield from written_mimicry(folder, source, target, driver, settings, detect, inputs)
-    return _outcome(folder, source.model, target.model, made)
+    identities = source.model.identity, target.model.identity
+    lines = mimic_lines(folder, identities, made.columns, made.settings)
+    document = mimic_document(folder, target.model.model_id, made.columns, made.settings)
+    missed = FACES_MISSING if document["no_face"] else 0
+    return Outcome(lines, document, made.notes, made.files, exit_code=missed)
 
 
 def check(request: MimicRequest) -> None:
@@ -139,40 +143,3 @@ def _opened(request: MimicRequest, detect: Detector | None) -> tuple[list[UsedMo
     if request.frames is not None and any(isinstance(given, Clip) for given in opened):
         check_apart(request.output, open_clip([request.frames]).paths)
     return opened, settings
-
-
-def _outcome(folder: Path, source: MorphModel, target: MorphModel, made: WrittenMimicry) -> Outcome:
-    import numpy as np
-
-    from morphspace.outcome import Outcome
-    from morphspace.transfer.quality_table import BEYOND, FLAGS, FOLDS, NO_FACE, TURNED
-
-    flags, settings = made.columns["flags"], made.settings
-    flagged = sum(bool(words) for words in flags)
-    counts = {flag: sum(flag in words.split() for words in flags) for flag in FLAGS}
-    warp_kept, missing, agreement = (
-        float(np.median(made.columns[name])) for name in ("warp_kept", "missing_motion", "colour_agreement")
-    )
-    lines = (
-        f"{folder}: {target.identity} shows {len(flags)} frames of {source.identity} by {settings['method']}, "
-        f"gain {settings['gain']:.3g}; of the motion {max(warp_kept, 0):.0%} is kept (median), {flagged} frames are "
-        "flagged",
-        f"page: {folder / 'index.html'}",
-    )
-    document = {
-        "output": str(folder),
-        "page": str(folder / "index.html"),
-        "frames": len(flags),
-        "flagged": flagged,
-        "no_face": counts[NO_FACE],
-        "out_of_range": counts[BEYOND],
-        "turned": counts[TURNED],
-        "folds": counts[FOLDS],
-        **{name: settings[name] for name in ("method", "gain", "max_sd", "neutral")},
-        "warp_kept_median": warp_kept,
-        "missing_motion_median": missing,
-        "colour_agreement_median": agreement,
-        "model_id": target.model_id,
-    }
-    missed = FACES_MISSING if counts[NO_FACE] else 0
-    return Outcome(lines, document, made.notes, made.files, exit_code=missed)

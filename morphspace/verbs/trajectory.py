@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 from annotated_types import Ge, Gt, Le
 
 from morphspace.errors import BadInput
-from morphspace.requests import Model, VideoSuffix, declared, request_document
+from morphspace.requests import Model, VideoSuffix, declared
 from morphspace.settings import Argument, Help, Option
 from morphspace.stimuli.motion_words import operations_help
 
@@ -121,10 +121,8 @@ def _made(request: TrajectoryRequest, model: MorphModel) -> Steps[MadeMotions]:
 
 def _write_table(request: TrajectoryRequest) -> Steps[Outcome]:
     """Write the new motion as a table of loadings, for any verb that reads one."""
-    from morphspace.io.tables import write_loadings_table
-    from morphspace.outcome import Outcome, versions
-    from morphspace.sets.kept import digest_of_kept
-    from morphspace.sets.motions import told_of
+    from morphspace.outcome import Outcome
+    from morphspace.sets.motions import told_of, write_motion
     from morphspace.sets.protect import Output, check_file, check_origins, writing
 
     model = _opened(request)
@@ -139,26 +137,13 @@ def _write_table(request: TrajectoryRequest) -> Steps[Outcome]:
             f"{len(made.motions)} motions do not fit one table {request.output}. Join them with splice or "
             "average, or give one table"
         )
-    motion = made.motions[0]
-    weights = model.sd[: motion.loadings_sd.shape[1]]
-    count = len(motion.loadings_sd)
-    document = {
-        "model_id": model.model_id,
-        "model_sha256": digest_of_kept(request.model),
-        "identity": model.identity,
-        "consent": model.provenance.get("consent"),
-        "licence": model.provenance.get("licence"),
-        "frame_rate_hz": motion.rate_hz,
-        "inputs": dict(made.inputs),
-        "trajectory": {"request": request_document(request), **told_of(made, motion, weights, request.seed)},
-        "versions": versions(),
-    }
-    names = [f"frame_{row:0{max(4, len(str(count - 1)))}d}" for row in range(count)]
+    (motion,) = made.motions
     with writing(guarded):
-        write_loadings_table(request.output, motion.loadings_sd, names, document)
+        write_motion(request.output, made, model, request)
     lines = (
-        f"{request.output}: {count} frames at {motion.rate_hz:g} Hz, {motion.duration_s:.2f} s"
+        f"{request.output}: {len(motion.loadings_sd)} frames at {motion.rate_hz:g} Hz, {motion.duration_s:.2f} s"
         + (", a loop" if motion.ends == "closed" else ""),
     )
-    outcome = {"table": str(request.output), "frames": count, **told_of(made, motion, weights, request.seed)}
+    entries = told_of(made, motion, model.sd, request.seed)
+    outcome = {"table": str(request.output), "frames": len(motion.loadings_sd), **entries}
     return Outcome(lines, outcome, made.notes, (request.output, sidecar))

@@ -37,14 +37,12 @@ def test_no_module_imports_itself_by_a_detour():
 
 
 VERBS = sorted(path for path in (ROOT / "morphspace" / "verbs").glob("*.py") if path.stem != "__init__")
-MOST_LINES = 140  # beside what a request declares: settings, limits and help of one verb take 20 to 80
+MOST_LINES = 150  # of a verb: its request and its run; more belongs into the rooms that do the work
 
 
 @pytest.mark.parametrize("path", VERBS, ids=lambda path: path.stem)
 def test_a_verb_is_a_request_and_its_run(path):
     tree = ast.parse(path.read_text())
-    classes = [node for node in tree.body if isinstance(node, ast.ClassDef)]
-    declared = sum(node.end_lineno - node.lineno + 1 for node in classes)
-    assert len(path.read_text().splitlines()) - declared <= MOST_LINES
+    assert len(path.read_text().splitlines()) <= MOST_LINES
     defined = {node.name for node in tree.body if isinstance(node, ast.ClassDef | ast.FunctionDef)}
     assert {"".join(map(str.capitalize, path.stem.split("_"))) + "Request", "run"} <= defined
