@@ -188,23 +188,23 @@ def settings_in(request: Any, kind: type[Part], **more: Any) -> Part:
 
 
 def request_document(request: Any) -> dict[str, Any]:
-    """Return a request as JSON: every field but `output`, with paths as given (`told_path`)."""
-    return {field.name: _told(getattr(request, field.name)) for field in settings_of(type(request))}
+    """Return a request as JSON: every field but `output`, with paths as given (`recorded_path`)."""
+    return {field.name: _recorded(getattr(request, field.name)) for field in settings_of(type(request))}
 
 
-def _told(value: Any) -> Any:
+def _recorded(value: Any) -> Any:
     if isinstance(value, Path):
-        return told_path(value)
+        return recorded_path(value)
     if isinstance(value, str) and Path(value).is_absolute():
-        return told_path(Path(value))
+        return recorded_path(Path(value))
     if isinstance(value, tuple | list):
-        return [_told(one) for one in value]
+        return [_recorded(one) for one in value]
     if isinstance(value, Mapping):
-        return {str(key): _told(one) for key, one in value.items()}
+        return {str(key): _recorded(one) for key, one in value.items()}
     return value
 
 
-def told_path(path: Path) -> str:
+def recorded_path(path: Path) -> str:
     """Return a path for records: as given, or relative to the working folder, or else the file name alone.
 
     Records do not disclose the folders of a user.

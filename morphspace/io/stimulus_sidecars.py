@@ -83,7 +83,7 @@ class DrawingDocument(TypedDict):
     region: OrNull[str]
     outside_sd: OrNull[Table]
     placing: OrNull[PlacingDocument]
-    told: dict[str, OrNull[str | float | bool]]
+    variables: dict[str, OrNull[str | float | bool]]
 
 
 class Figures(TypedDict):

@@ -213,7 +213,7 @@ def continuum_drawings(line: Line, name: str, positions: AnyArray, spacing: str)
         Drawing(
             name=f"{stem}_{place:0{digits}d}",
             loadings_sd=(loadings / sd)[None],
-            told={
+            variables={
                 "series": name,
                 "step": place,
                 "position": float(position),
@@ -234,7 +234,7 @@ def measured_steps(
         for name, positions in series.items()
         for place, (start, stop) in enumerate(pairwise(map(float, positions)))
     ]
-    names = {(drawing.told["series"], drawing.told["step"]): drawing.name for drawing in drawings}
+    names = {(drawing.variables["series"], drawing.variables["step"]): drawing.name for drawing in drawings}
     line.crossfade(0.0)  # draws the ends before threads share them
 
     def measured(job: tuple[str, int, float, float]) -> dict[str, Any]:

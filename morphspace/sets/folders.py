@@ -44,7 +44,7 @@ class FolderJob:
     ----------
     request
         The request of the verb.
-    told
+    recorded
         The request as JSON, with the recipe's own paths.
     levels
         Level of each factor.
@@ -55,7 +55,7 @@ class FolderJob:
     name: str
     verb: str
     request: Any
-    told: Mapping[str, Any]
+    recorded: Mapping[str, Any]
     levels: Mapping[str, Any]
     made_from: str
 
@@ -73,7 +73,7 @@ def fill_folder(job: FolderJob, folder: Path, is_stopped: Callable[[], bool]) ->
             "format": "morphspace-batch-folder",
             "version": 1,
             "verb": job.verb,
-            "request": dict(job.told),
+            "request": dict(job.recorded),
             "made_from_sha256": job.made_from,
             "record_sha256": digest_of_file(place / RECORD_NAME),
             "notes": list(outcome.warnings),

@@ -97,7 +97,7 @@ LAST_COLUMNS: Mapping[str, Column] = {
     "sha256": Column("SHA-256 of the picture or video"),
     "sidecar_sha256": Column("SHA-256 of the sidecar, the file of the same name that ends in .json"),
 }
-TOLD_COLUMNS: Mapping[str, Column] = {
+VARIABLE_COLUMNS: Mapping[str, Column] = {
     "frame": Column("The frame of the clip or the row of the table it was made from"),
     "gain": Column("Factor on the loadings: 1 veridical, above 1 a caricature, below 0 an anti-face"),
     "warp_gain": Column("Factor on the loadings of the warp"),
@@ -174,7 +174,7 @@ def described_columns(names: Iterable[str], more: Mapping[str, Column]) -> dict[
     for key in names:
         if key in FIRST_COLUMNS or key in LAST_COLUMNS:
             raise BadInput(f"the column {key!r} is one of the manifest's own. Give it another name")
-        column = more.get(key) or TOLD_COLUMNS.get(key)
+        column = more.get(key) or VARIABLE_COLUMNS.get(key)
         if column is None:
             raise BadInput(f"the column {key!r} has no description. Add it to the set's columns")
         found[key] = column

@@ -166,7 +166,7 @@ def _share(step: float, median: float) -> float | None:
     return round(step / median, STEP_DIGITS) if median > 0 else None
 
 
-def told_of(made: MadeMotions, motion: Motion, weights: AnyArray, seed: int) -> dict[str, Any]:
+def variables_of(made: MadeMotions, motion: Motion, weights: AnyArray, seed: int) -> dict[str, Any]:
     """Return the manifest entries of a motion (`COLUMNS`); `weights` are the SDs of the model."""
     median, largest, closing = _steps(motion, weights[: motion.loadings_sd.shape[1]])
     entries: dict[str, Any] = {
@@ -194,7 +194,10 @@ def write_motion(path: Path, made: MadeMotions, model: MorphModel, request: Any)
         "licence": model.provenance.get("licence"),
         "frame_rate_hz": motion.rate_hz,
         "inputs": dict(made.inputs),
-        "trajectory": {"request": request_document(request), **told_of(made, motion, model.sd, request.seed)},
+        "trajectory": {
+            "request": request_document(request),
+            **variables_of(made, motion, model.sd, request.seed),
+        },
         "versions": versions(),
     }
     names = [f"frame_{row:0{max(4, len(str(count - 1)))}d}" for row in range(count)]

@@ -45,7 +45,7 @@ class PlannedSet:
     tables
         Further CSV files of the folder: file name to columns.
     columns
-        Descriptions of the drawings' entries beyond `manifest.TOLD_COLUMNS`.
+        Descriptions of the drawings' entries beyond `manifest.VARIABLE_COLUMNS`.
     new_model
         A model built by the verb; `keep_model` writes it to `model_path` before drawing starts.
     files
@@ -77,11 +77,11 @@ class PlannedSet:
         if not self.drawings:
             raise BadInput(f"{self.verb} has nothing to draw. Give at least one frame, step or gain")
         check_names([drawing.name for drawing in self.drawings], tuple(self.tables))
-        self.told_columns()
+        self.variable_columns()
 
-    def told_columns(self) -> dict[str, Column]:
+    def variable_columns(self) -> dict[str, Column]:
         """Return the descriptions of the drawings' entries, in order."""
-        keys = dict.fromkeys(key for drawing in self.drawings for key in drawing.told)
+        keys = dict.fromkeys(key for drawing in self.drawings for key in drawing.variables)
         return described_columns(keys, self.columns)
 
     def sidecar_head(self) -> dict[str, Any]:

@@ -209,14 +209,14 @@ def _set_of(job: Job, verb: Verb, recipe: Recipe, folder: Path, book: _Book) -> 
     columns = dict(planned.columns)
     drawings, names = [], {}
     for index, drawing in enumerate(planned.drawings):
-        places = {"name": drawing.name, "index": index, "verb": job.verb, **drawing.told, **job.known}
+        places = {"name": drawing.name, "index": index, "verb": job.verb, **drawing.variables, **job.known}
         name = _name(job, places)
         book.take(name, job, places)
         names[drawing.name] = name
-        added = _level_columns(job.levels, drawing.told)
+        added = _level_columns(job.levels, drawing.variables)
         columns |= {key: Column(f"Level of the factor {factor}") for key, factor in added.items()}
         levels = {key: job.levels[factor] for key, factor in added.items()}
-        drawings.append(dataclasses.replace(drawing, name=name, told={**levels, **drawing.told}))
+        drawings.append(dataclasses.replace(drawing, name=name, variables={**levels, **drawing.variables}))
     return dataclasses.replace(
         planned,
         request=portable,

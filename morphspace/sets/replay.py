@@ -369,14 +369,14 @@ def _beside(document: Stimulus, sidecar: Path, drawing: Drawing) -> Iterator[str
     inside = essentials_in(picture) if _is_file(picture) else None
     if inside is not None:
         head = {**document, "request_sha256": digest_of_json(document["request"])}
-        outside = essentials(head, drawing.told)
+        outside = essentials(head, drawing.variables)
         for key in dict.fromkeys((*outside, *inside)):
             if key != "software" and outside.get(key) != inside.get(key):
                 yield f"{key} is {_short(outside.get(key))} in the sidecar, {_short(inside.get(key))} in the stimulus"
     row = _row(sidecar, drawing.name)
-    for key, value in drawing.told.items():
+    for key, value in drawing.variables.items():
         if key in row and not _same(value, row[key]):
-            yield f"told.{key} is {_short(value)} in the sidecar, {row[key]!r} in the manifest"
+            yield f"variables.{key} is {_short(value)} in the sidecar, {row[key]!r} in the manifest"
 
 
 def _row(sidecar: Path, name: str) -> dict[str, str]:

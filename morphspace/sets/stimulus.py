@@ -20,7 +20,7 @@ from morphspace.io.colour import check_image, codes_of
 from morphspace.io.png import png_with_texts
 from morphspace.io.stimulus_sidecars import file_texts, read_stimulus_sidecar, sidecar_text
 from morphspace.model.model import MorphModel
-from morphspace.requests import told_path
+from morphspace.requests import recorded_path
 from morphspace.steps import single_threads
 from morphspace.stimuli.drawing import Drawing
 from morphspace.stimuli.drawn import morphs_and_images
@@ -108,7 +108,9 @@ def _inputs_of(drawing: Drawing, inputs: Mapping[str, str]) -> dict[str, str]:
 
     The record of the set lists all frames of the clip.
     """
-    own = {f"clip/{drawing.told[key]}" for key in ("frame", "original") if key in drawing.told} & set(inputs)
+    own = {
+        f"clip/{drawing.variables[key]}" for key in ("frame", "original") if key in drawing.variables
+    } & set(inputs)
     return {
         name: digest
         for name, digest in inputs.items()
@@ -120,7 +122,7 @@ def _as_json(drawing: Drawing) -> dict[str, Any]:
     """Return the drawing as JSON for its sidecar, without the clip's path on this disk."""
     document = drawing.document()
     if drawing.placing is not None:
-        words = [told_path(Path(source)) for source in drawing.placing.sources]
+        words = [recorded_path(Path(source)) for source in drawing.placing.sources]
         document["placing"] = {**document["placing"], "sources": words}
     return document
 
@@ -136,7 +138,7 @@ def draw_file(
             folded[0] = max(folded[0], warp.fold_fraction(morph.displacement, model.mask))
             yield image
 
-    texts = file_texts(head, drawing.told, drawing.suffix)
+    texts = file_texts(head, drawing.variables, drawing.suffix)
     if drawing.frame_rate_hz is None:
         image = next(iter(images()))
         check_image(image, str(path))
@@ -241,7 +243,7 @@ def _row(drawing: Drawing, document: Mapping[str, Any], sidecar_sha256: str) -> 
         "verb": document["verb"],
         "identity": model["identity"],
         "model_id": model["model_id"],
-        **drawing.told,
+        **drawing.variables,
         "frames": output["frames"],
         "frame_rate_hz": output["frame_rate_hz"],
         "width_px": output["size"][0],

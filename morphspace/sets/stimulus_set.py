@@ -89,7 +89,7 @@ def complete_set(
     rows = flagged(rows)
     columns: dict[str, Column] = {}
     for planned in sets:
-        columns |= planned.told_columns()
+        columns |= planned.variable_columns()
     written = [*write_manifest(folder, rows, columns, verb)]
     written += _write_loadings(folder, sets)
     for planned in sets:

@@ -108,11 +108,11 @@ def caricature_drawing(
     """
     shape = caricatured(veridical, gains.get("gain", gains.get("warp_gain", 1.0)), components)
     colour = None if "gain" in gains else caricatured(veridical, gains["texture_gain"], components)
-    told: dict[str, Any] = {"frame": name, **gains}
+    variables: dict[str, Any] = {"frame": name, **gains}
     if components_named_as is not None:
-        told["components"] = components_named_as
+        variables["components"] = components_named_as
     if region is not None:
-        told["region"] = Path(region).name if mask is not None else region
+        variables["region"] = Path(region).name if mask is not None else region
     ending = "_".join(
         f"{key.removesuffix('gain').rstrip('_')[:1] or 'g'}{gain:g}" for key, gain in gains.items()
     )
@@ -121,11 +121,11 @@ def caricature_drawing(
         name=f"{name}_{ending}",
         loadings_sd=shape,
         colour_sd=colour,
-        region=None if whole else told["region"],
+        region=None if whole else variables["region"],
         outside_sd=None if whole else veridical,
         frame_rate_hz=frame_rate_hz,
         suffix=suffix,
-        told=told,
+        variables=variables,
         region_mask=mask,
     )
 

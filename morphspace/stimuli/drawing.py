@@ -95,7 +95,7 @@ class Drawing:
     suffix : str
     placing : Placing or None
         The originals, if the face is placed into images.
-    told : mapping of str to text or number
+    variables : mapping of str to text or number
         The description for the manifest.
     region_mask : array (h, w) or None
         The region on the mean face, if it is not a named one.
@@ -121,7 +121,7 @@ class Drawing:
     frame_rate_hz: float | None = None
     suffix: str = ".png"
     placing: Placing | None = None
-    told: Mapping[str, Any] = field(default_factory=dict)
+    variables: Mapping[str, Any] = field(default_factory=dict)
     region_mask: Mask | None = None
 
     def __post_init__(self) -> None:
@@ -139,7 +139,7 @@ class Drawing:
                 f"{self.name} has {len(self.loadings_sd)} frames and {len(self.placing.names)} originals to put them "
                 "into: give one a frame"
             )
-        for key, value in self.told.items():
+        for key, value in self.variables.items():
             if not isinstance(value, SCALARS) or (isinstance(value, float) and not np.isfinite(value)):
                 raise BadInput(
                     f"{self.name}: {key} is {value!r}; expected a text or a finite number. Correct it"
@@ -199,7 +199,7 @@ class Drawing:
             "region": self.region,
             "outside_sd": None if self.outside_sd is None else self.outside_sd.tolist(),
             "placing": None if self.placing is None else self.placing.document(),
-            "told": dict(self.told),
+            "variables": dict(self.variables),
         }
 
 
@@ -215,7 +215,7 @@ def drawing_of(document: DrawingDocument, region_mask: Mask | None = None) -> Dr
         frame_rate_hz=None if rate_hz is None else float(rate_hz),
         suffix=document["suffix"],
         placing=None if placing is None else _placing_of(placing),
-        told=dict(document["told"]),
+        variables=dict(document["variables"]),
         region_mask=region_mask,
     )
 

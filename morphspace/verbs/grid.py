@@ -76,5 +76,5 @@ def plan(request: GridRequest, model: MorphModel | None = None) -> Steps[Planned
             loadings = np.zeros((1, model.rank))
             loadings[0, first - 1], loadings[0, second - 1] = one, other
             name = f"pc{first:03d}_{amount_words(one)}sd_pc{second:03d}_{amount_words(other)}sd"
-            drawings.append(Drawing(name, loadings, told={"first_sd": one, "second_sd": other}))
+            drawings.append(Drawing(name, loadings, variables={"first_sd": one, "second_sd": other}))
     return plan_of(request, "grid", model, drawings)

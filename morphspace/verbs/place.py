@@ -107,7 +107,7 @@ def plan(request: PlaceRequest, model: MorphModel | None = None) -> Steps[Planne
             frame_rate_hz=None if request.video is None else faces.frame_rate_hz,
             suffix=request.video or ".png",
             placing=Placing(source.names[rows], digests[rows], registrations[rows], request.clip),
-            told={
+            variables={
                 "gain": float(request.gain),
                 "original": source.names[rows][0] if request.video is None else name,
                 **({} if identity is None else {ORIGINAL_IDENTITY: identity}),

@@ -75,7 +75,7 @@ def plan(request: RenderRequest, model: MorphModel | None = None) -> Steps[Plann
             Drawing(
                 file.removesuffix(".png"),
                 loadings_sd[row : row + 1],
-                told={"frame": faces.names[row], **gains},
+                variables={"frame": faces.names[row], **gains},
             )
             for row, file in enumerate(files)
         ]
@@ -87,7 +87,7 @@ def plan(request: RenderRequest, model: MorphModel | None = None) -> Steps[Plann
                 loadings_sd[rows],
                 frame_rate_hz=faces.frame_rate_hz,
                 suffix=request.video,
-                told={**gains},
+                variables={**gains},
             )
         ]
     return plan_of(request, "render", model, drawings, inputs=faces.inputs, notes=faces.notes)

@@ -63,7 +63,9 @@ def plan(request: SampleRequest, model: MorphModel | None = None) -> Steps[Plann
     digits = max(4, len(str(request.count - 1)))
     drawings = [
         Drawing(
-            f"sample_{row:0{digits}d}", loadings_sd[row : row + 1], told={"draw": row, "seed": request.seed}
+            f"sample_{row:0{digits}d}",
+            loadings_sd[row : row + 1],
+            variables={"draw": row, "seed": request.seed},
         )
         for row in range(request.count)
     ]

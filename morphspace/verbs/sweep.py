@@ -88,12 +88,12 @@ def _of_component(
     for amount in amounts_sd.tolist():
         entries = {"component": component + 1, "amount_sd": amount}
         yield Drawing(
-            f"{name}_{amount_words(amount)}sd", along(model, component, np.array([amount])), told=entries
+            f"{name}_{amount_words(amount)}sd", along(model, component, np.array([amount])), variables=entries
         )
     phase = np.sin(2 * np.pi * np.arange(VIDEO_FRAMES) / VIDEO_FRAMES)
     there_and_back = along(model, component, furthest_sd * phase)
     entries = {"component": component + 1}
-    yield Drawing(name, there_and_back, frame_rate_hz=FRAME_RATE_HZ, suffix=".mp4", told=entries)
+    yield Drawing(name, there_and_back, frame_rate_hz=FRAME_RATE_HZ, suffix=".mp4", variables=entries)
 
 
 def amount_words(amount_sd: float) -> str:

@@ -81,7 +81,7 @@ def run(request: TrajectoryRequest) -> Steps[Outcome]:
 
 def plan(request: TrajectoryRequest, model: MorphModel | None = None) -> Steps[PlannedSet]:
     """Read and check all inputs without drawing; `model` is the open model, or None."""
-    from morphspace.sets.motions import COLUMNS, told_of
+    from morphspace.sets.motions import COLUMNS, variables_of
     from morphspace.sets.plan import plan_of
     from morphspace.sets.sources import motion_name
     from morphspace.stimuli.drawing import Drawing
@@ -94,7 +94,7 @@ def plan(request: TrajectoryRequest, model: MorphModel | None = None) -> Steps[P
             loadings_sd=motion.loadings_sd,
             frame_rate_hz=motion.rate_hz,
             suffix=request.video,
-            told=told_of(made, motion, model.sd, request.seed),
+            variables=variables_of(made, motion, model.sd, request.seed),
         )
         for motion in made.motions
     ]
@@ -122,7 +122,7 @@ def _made(request: TrajectoryRequest, model: MorphModel) -> Steps[MadeMotions]:
 def _write_table(request: TrajectoryRequest) -> Steps[Outcome]:
     """Write the new motion as a table of loadings, for any verb that reads one."""
     from morphspace.outcome import Outcome
-    from morphspace.sets.motions import told_of, write_motion
+    from morphspace.sets.motions import variables_of, write_motion
     from morphspace.sets.protect import Output, check_file, check_origins, writing
 
     model = _opened(request)
@@ -144,6 +144,6 @@ def _write_table(request: TrajectoryRequest) -> Steps[Outcome]:
         f"{request.output}: {len(motion.loadings_sd)} frames at {motion.rate_hz:g} Hz, {motion.duration_s:.2f} s"
         + (", a loop" if motion.ends == "closed" else ""),
     )
-    entries = told_of(made, motion, model.sd, request.seed)
+    entries = variables_of(made, motion, model.sd, request.seed)
     outcome = {"table": str(request.output), "frames": len(motion.loadings_sd), **entries}
     return Outcome(lines, outcome, made.notes, (request.output, sidecar))

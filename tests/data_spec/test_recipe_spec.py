@@ -15,7 +15,7 @@ from morphspace.errors import BadInput
 from morphspace.io.recipe_text import read_yaml
 from morphspace.io.recipes import KEYS, read_recipe
 from morphspace.requests import recipe_verbs, settings_of
-from morphspace.sets.manifest import FIRST_COLUMNS, LAST_COLUMNS, TOLD_COLUMNS
+from morphspace.sets.manifest import FIRST_COLUMNS, LAST_COLUMNS, VARIABLE_COLUMNS
 from morphspace.settings import WrongSetting, check_decimal_points, converted
 from morphspace.steps import result_of
 from morphspace.verbs import sample
@@ -182,7 +182,7 @@ def test_a_manifest_fits_its_schema_and_describes_every_column(set_folder):
 
 def test_every_column_is_on_the_page_with_its_meaning_and_unit():
     page = page_of("manifest")
-    for name, column in {**FIRST_COLUMNS, **TOLD_COLUMNS, **LAST_COLUMNS}.items():
+    for name, column in {**FIRST_COLUMNS, **VARIABLE_COLUMNS, **LAST_COLUMNS}.items():
         if name.startswith(("linear_", "code_")):
             assert f"`{name}`" in page
         else:

@@ -23,7 +23,7 @@ from morphspace.model.model import load_model
 from morphspace.model.morph import Morph
 from morphspace.outcome import versions
 from morphspace.report.set_page import SHOWN_AT_MOST, places_shown, sheet_columns
-from morphspace.requests import told_path
+from morphspace.requests import recorded_path
 from morphspace.sets.manifest import Column
 from morphspace.sets.plan import PlannedSet, check_names, plan_of
 from morphspace.sets.stimulus_set import flagged, notes_on, write_set
@@ -168,9 +168,9 @@ def test_no_place_on_a_disk_is_told(any_set, folder):
 
 def test_absolute_paths_are_told_without_the_place(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    assert told_path(tmp_path / "models" / "a.morph") == "models/a.morph"
-    assert told_path(Path("../a.morph")) == "../a.morph"
-    assert told_path(Path("/somewhere/private/a.morph")) == "a.morph"
+    assert recorded_path(tmp_path / "models" / "a.morph") == "models/a.morph"
+    assert recorded_path(Path("../a.morph")) == "../a.morph"
+    assert recorded_path(Path("/somewhere/private/a.morph")) == "a.morph"
 
 
 def test_what_is_done_is_kept_and_what_is_not_is_made(folder, pictures, tmp_path, monkeypatch):
@@ -335,7 +335,7 @@ def test_told_entries_need_a_description(folder):
     def planned(columns, **told) -> PlannedSet:
         return plan_of(request, "sample", model, [Drawing("a", np.zeros((1, 3)), told=told)], columns=columns)
 
-    assert list(planned({"mood": Column("How it looks")}, mood="glad").told_columns()) == ["mood"]
+    assert list(planned({"mood": Column("How it looks")}, mood="glad").variable_columns()) == ["mood"]
     with pytest.raises(BadInput, match="'mood' has no description"):
         planned({}, mood="glad")
     with pytest.raises(BadInput, match="'sha256' is one of the manifest's own"):
@@ -605,7 +605,7 @@ def test_a_cut_sidecar_without_its_picture_is_ours_by_its_start_and_another_is_r
 
 def edits():
     """What somebody may change in a sidecar whose pictures stay, and what replay says of it."""
-    yield ("drawing", "told", "gain"), 9.0, "told.gain is 9.0 in the sidecar, '0.5"
+    yield ("drawing", "variables", "gain"), 9.0, "variables.gain is 9.0 in the sidecar, '0.5"
     yield (
         ("statistics", "code", "luminance"),
         0.125,

@@ -159,8 +159,8 @@ def test_names_that_cannot_be_files_everywhere_are_refused(name):
         ({"suffix": ".gif"}, "'.gif'"),
         ({"frame_rate_hz": 25.0}, "'.png'"),
         ({"frame_rate_hz": 0.0, "suffix": ".mp4"}, "0.0 Hz"),
-        ({"told": {"gain": float("inf")}}, "gain is inf"),
-        ({"told": {"gain": [1]}}, "gain is"),
+        ({"variables": {"gain": float("inf")}}, "gain is inf"),
+        ({"variables": {"gain": [1]}}, "gain is"),
     ],
 )
 def test_drawings_that_do_not_fit_together_are_refused(entries, said):

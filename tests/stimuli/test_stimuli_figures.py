@@ -73,16 +73,16 @@ def test_a_caricature_is_named_by_its_gains_and_changes_what_was_asked():
     plain = caricature_drawing("a", faces, {"gain": 1.5})
     assert (plain.name, plain.colour_sd, plain.region, plain.outside_sd) == ("a_g1.5", None, None, None)
     assert_array_equal(plain.loadings_sd, 1.5 * faces)
-    assert plain.told == {"frame": "a", "gain": 1.5}
+    assert plain.variables == {"frame": "a", "gain": 1.5}
     apart = caricature_drawing(
         "a", faces, {"warp_gain": 2.0, "texture_gain": 0.5}, components=(1,), components_named_as="2"
     )
-    assert apart.name == "a_w2_t0.5" and apart.told["components"] == "2"
+    assert apart.name == "a_w2_t0.5" and apart.variables["components"] == "2"
     assert_array_equal(apart.loadings_sd, [[1.0, -4.0, 0.5]])
     assert_array_equal(apart.colour_sd, [[1.0, -1.0, 0.5]])
     for region, mask, told in (("mouth", None, "mouth"), ("masks/half.png", np.ones((2, 2)), "half.png")):
         part = caricature_drawing("a", faces, {"gain": 2.0}, region=region, mask=mask)
-        assert (part.region, part.told["region"]) == (told, told)
+        assert (part.region, part.variables["region"]) == (told, told)
         assert_array_equal(part.outside_sd, faces)
     assert caricature_drawing("a", faces, {"gain": 2.0}, region="whole").region is None
     for gain in (np.inf, np.nan):

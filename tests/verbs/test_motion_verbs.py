@@ -197,7 +197,7 @@ def test_tables_called_as_every_verb_calls_them_go_by_their_folders(files, tmp_p
         trajectory_verb.plan(TrajectoryRequest(files / "ann.morph", tuple(tables), tmp_path / "out"))
     )
     assert [drawing.name for drawing in planned.drawings] == ["by_eve", "by_dan", "by_dan_2"]
-    assert planned.drawings[0].told["tables"] == "by_eve by_dan by_dan_2"
+    assert planned.drawings[0].variables["tables"] == "by_eve by_dan by_dan_2"
 
 
 def test_a_loop_that_is_given_too_little_time_is_noted(files):
@@ -338,7 +338,7 @@ def test_positions_may_be_given_and_go_beyond_the_ends(files, tmp_path):
     planned = result_of(continuum_verb.plan(request))
     first, last = wave()[3], wave()[8]
     assert_allclose(planned.drawings[0].loadings_sd[0], first - 0.5 * (last - first), atol=1e-12)
-    assert [drawing.told["spacing"] for drawing in planned.drawings] == ["given"] * 3
+    assert [drawing.variables["spacing"] for drawing in planned.drawings] == ["given"] * 3
 
 
 def test_pictures_are_encoded_and_drawn_again(files, tmp_path):
