@@ -105,9 +105,9 @@ class Search:
             spread = SPREADS[candidate % len(SPREADS)]
             faces = self.keep(self.estimate() + spread * (drawn - self.estimate()))
             chances = _chances(faces, believed, precision)
-            told = _entropy(chances.mean(axis=0)) - _entropy(chances).mean()
-            if told > most:
-                best, most = faces, told
+            gained = _entropy(chances.mean(axis=0)) - _entropy(chances).mean()
+            if gained > most:
+                best, most = faces, gained
         return best
 
     def _settle(self, place: int) -> float:

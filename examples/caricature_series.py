@@ -41,13 +41,13 @@ def write_faces(model: MorphModel, count: int, path: Path) -> None:
     loadings_sd = model.training.in_sd(model).values
     rows = most_different(loadings_sd, count)
     names = [model.training.frame_names[row] for row in rows]
-    told = {
+    document = {
         "model_id": model.model_id,
         "identity": model.identity,
         "frame_rate_hz": model.provenance.get("frame_rate_hz"),
     }
     write_loadings_table(
-        path, loadings_sd[rows], names, {key: value for key, value in told.items() if value is not None}
+        path, loadings_sd[rows], names, {key: value for key, value in document.items() if value is not None}
     )
 
 

@@ -92,15 +92,15 @@ def main(words: list[str]) -> int:
     arguments = parser.parse_args(words)
     folder = arguments.output
 
-    def told(path: Path) -> str:
+    def relative(path: Path) -> str:
         return os.path.relpath(path, folder)  # in a recipe, from its own folder
 
     try:
-        actors = {path.stem: told(path) for path in arguments.actors}
+        actors = {path.stem: relative(path) for path in arguments.actors}
         if len(actors) < len(arguments.actors):
             raise BadInput("two actors have files of one name: copy one under another name")
-        frames = None if arguments.frames is None else told(arguments.frames)
-        text = mimicry_recipe(actors, told(arguments.driver), frames, arguments.method, arguments.gain)
+        frames = None if arguments.frames is None else relative(arguments.frames)
+        text = mimicry_recipe(actors, relative(arguments.driver), frames, arguments.method, arguments.gain)
         write_text(folder / "mimicry.yaml", text)
         result_of(batch.run(BatchRequest(folder / "mimicry.yaml", folder / "mimicry", arguments.workers)))
         loadings = {name: f"mimicry/{name}/loadings.csv" for name in actors}

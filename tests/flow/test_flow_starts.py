@@ -6,7 +6,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from morphspace.errors import BadInput
 from morphspace.flow import Flow, multiscale, presets, starts
-from morphspace.flow.starts import better, photometric_error
+from morphspace.flow.starts import approximate_inverse, better, photometric_error
 from morphspace.grid import warp
 
 HEIGHT, WIDTH = 80, 64
@@ -279,3 +279,10 @@ def test_a_movement_larger_than_the_search_is_found_from_landmarks(picture):
         np.median(each.displacement[62:90, 32:60, 0]) for each in (flow, to_frame(frame, None))
     )
     assert found_px == pytest.approx(far_px, abs=4) and alone_px < far_px / 2
+
+
+def test_an_approximate_inverse_stays_finite_where_the_field_folds():
+    wild = np.random.default_rng(0).uniform(-90, 90, (48, 64, 2)).astype(np.float32)
+    assert np.isfinite(approximate_inverse(wild)).all()
+    there = np.broadcast_to(np.float32([3, -2]), (48, 64, 2)).copy()
+    assert_allclose(approximate_inverse(there), -there, atol=1e-5)

@@ -22,10 +22,10 @@ from click.testing import CliRunner
 from numpy.testing import assert_allclose, assert_array_equal
 
 from morphspace.cli.main import main
-from morphspace.errors import BadInput, SizeMismatch, UnwritableFile
+from morphspace.errors import BadInput, UnwritableFile
 from morphspace.flow import Flow, methods, names
-from morphspace.flow.pairs import checked_pair, checked_picture, is_featureless, is_grey
-from morphspace.flow.starts import WITHOUT_START, StartKind, approximate_inverse, flow_between
+from morphspace.flow.pairs import is_grey
+from morphspace.flow.starts import WITHOUT_START, StartKind
 from morphspace.grid import warp
 from morphspace.io import flow_fields
 from morphspace.io.flow_fields import UNKNOWN_PX, read_flow, write_flows
@@ -346,12 +346,6 @@ def test_other_presets_have_no_choice_of_a_backend(folder, preset):
     assert not (folder / "o.flo").exists()
 
 
-def test_an_approximate_inverse_stays_finite_where_the_field_folds():
-    wild = np.random.default_rng(0).uniform(-90, 90, (HEIGHT, WIDTH, 2)).astype(np.float32)
-    assert np.isfinite(approximate_inverse(wild)).all()
-    assert_allclose(approximate_inverse(field_of(3, -2)), field_of(-3, 2), atol=1e-5)
-
-
 def test_unknown_points_of_a_start_are_at_rest(folder, asked):
     known = np.ones((HEIGHT, WIDTH), bool)
     known[:, :10] = False
@@ -495,55 +489,6 @@ def test_a_way_back_that_cannot_be_written_takes_the_way_there_with_it(folder, a
     monkeypatch.setattr(flow_fields, "_write_into", no_room_for_the_second)
     refused(run(folder / "a.png", folder / "b.png", "-o", folder / "o.flo", "--both", *FAST), "o.back.flo")
     assert sorted(path.name for path in folder.iterdir()) == ["a.png", "b.png"]
-
-
-# what both an estimator and the verb ask of a pair
-
-
-def test_a_pair_of_one_channel_is_repeated_and_stays_what_it_is(picture):
-    colour = picture(20, 24)
-    for grey in (colour[..., 0], colour[..., :1]):
-        one, other = checked_pair(grey, colour.astype(np.float64))
-        assert one.shape == other.shape == (20, 24, 3) and one.dtype == other.dtype == np.float32
-        assert_array_equal(one, np.repeat(colour[..., :1], 3, axis=2))
-        assert_array_equal(other, colour)
-
-
-@pytest.mark.parametrize(
-    ("image", "mentioned"),
-    [
-        (np.zeros((20, 20, 4), np.float32), r"\(20, 20, 4\)"),
-        (np.zeros(20, np.float32), r"\(20,\)"),
-        (np.zeros((20, 20, 3), np.uint8), "uint8"),
-        (np.zeros((15, 20, 3), np.float32), "20x15"),
-        (np.zeros((20, 0, 3), np.float32), "0x20"),
-        (np.full((20, 20, 3), np.nan, np.float32), "1200 values"),
-        (np.full((20, 20, 3), -np.inf, np.float32), "1200 values"),
-        (np.full((20, 20, 3), -1e6, np.float32), "1e"),
-    ],
-)
-def test_what_is_no_picture_is_refused_by_its_name(image, mentioned):
-    with pytest.raises(BadInput, match=f"the frame .*{mentioned}"):
-        checked_picture(image, "the frame")
-
-
-def test_sizes_that_differ_are_a_size_mismatch(picture):
-    with pytest.raises(SizeMismatch, match=r"the frame has 21x20 px; expected 20x20 px"):
-        checked_pair(picture(20, 20), picture(20, 21))
-
-
-def test_half_a_code_is_nothing_and_one_code_is_something():
-    image = np.full((20, 20, 3), 0.5, np.float32)
-    image[4, 4, 1] += 0.4 / 255
-    assert is_featureless(image)
-    image[4, 4, 1] = 0.5 + 1 / 255
-    assert not is_featureless(image)
-
-
-def test_a_pair_without_features_never_reaches_a_method(asked):
-    flat = np.zeros((HEIGHT, WIDTH, 3), np.float32)
-    flow = flow_between(asked, flat, flat)
-    assert asked.asked == [] and not flow.displacement.any() and not flow.confidence.any()
 
 
 # scenes

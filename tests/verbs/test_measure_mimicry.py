@@ -19,7 +19,6 @@ from morphspace.errors import BadInput, ReferenceMismatch, UnreadableFile
 from morphspace.face.faceframe import FaceFrame
 from morphspace.grid import warp
 from morphspace.imitation.imitator import imitator_of
-from morphspace.imitation.motions import name_of_table
 from morphspace.io.images import read_image, write_image
 from morphspace.io.tables import read_loadings_table, read_metrics_table, write_loadings_table
 from morphspace.io.video import video_info
@@ -381,17 +380,6 @@ def test_more_components_than_there_are_is_all_of_them_and_is_said(work, model):
     said = f"{narrow} has 2 of 3 components of drawn: the others are not measured"
     assert said in outcome.warnings and said in measured(work, narrow, good).warnings
     assert rows(work)["name"] == ["pc001", "pc002", "all"]
-
-
-def test_a_motion_is_called_what_people_call_it():
-    """A file that a verb named is called after its folder, any other after itself."""
-    assert name_of_table(Path("anna_to_ben/loadings.csv"), {}) == "anna_to_ben"
-    assert name_of_table(Path("anna/smile.csv"), {"identity": "ben"}) == "smile"
-    assert name_of_table(Path("loadings.csv"), {}) == Path.cwd().name
-    told = {"identity": "ben", "source_identity": "anna"}
-    assert name_of_table(Path("/loadings.csv"), told) == "anna"
-    assert name_of_table(Path("/stimulus.csv"), {"identity": "ben"}) == "ben"
-    assert name_of_table(Path("/stimulus.csv"), {}) == "stimulus"
 
 
 def test_the_page_says_which_p_is_of_what(work, model):

@@ -32,11 +32,11 @@ from morphspace.io.tables import read_loadings_table, read_metrics_table
 from morphspace.io.video import video_info
 from morphspace.linear.pca import fit_basis
 from morphspace.linear.rows import RowArray
-from morphspace.model.encode import energy_outside, notes_on_enlarging, notes_on_framing
+from morphspace.model.encode import notes_on_enlarging, notes_on_framing
 from morphspace.model.keypoints import how_to_learn, required_landmarks
 from morphspace.model.loadings import Loadings
 from morphspace.model.model import MorphModel, inner_product, load_model, model_digest
-from morphspace.model.morph import Morph, MorphOffset
+from morphspace.model.morph import Morph
 from morphspace.report.mimic_page import HEADINGS, LEFT_OUT
 from morphspace.requests import field_named
 from morphspace.sets import mimicry, models
@@ -52,9 +52,6 @@ from morphspace.transfer.quality_table import (
     DECIMALS,
     MIMICRY,
     OUT_OF_RANGE,
-    FaceSeen,
-    FrameMade,
-    made_of,
 )
 from morphspace.verbs import mimic as verb
 from morphspace.verbs.mimic import MimicRequest
@@ -565,19 +562,6 @@ def test_driving_frames_of_another_person_are_said_to_be(work, actor, other):
     assert not any(read_metrics_table(work / "out" / "quality.csv")["outside_source"])  # empty cells
 
 
-def test_energy_outside_is_what_the_components_leave(actor):
-    """Half a training face lies inside; what no component holds counts by its energy in the model's variances."""
-    offset = actor.offset(0.5 * actor.training.values[0])
-    assert energy_outside(offset, actor) < 1e-4
-    rng = np.random.default_rng(2)
-    values = rng.standard_normal(actor.basis.components.shape[1]).astype(np.float32)
-    values -= actor.basis.expand(actor.basis.project(values))
-    stranger = offset + MorphOffset(values, offset.shape, offset.reference_id)
-    energy = (actor.basis.weight * values * values).sum()
-    variance = actor.basis.variances.sum() + actor.basis.discarded_variance
-    assert energy_outside(stranger, actor) == pytest.approx(energy / variance, rel=1e-4)
-
-
 def test_figures_are_written_to_what_they_are_good_for(work, actor):
     run(work, frames=clip(work, actor, 0.5 * actor.training.values[:3]))
     lines = (work / "out" / "quality.csv").read_text().splitlines()
@@ -664,14 +648,6 @@ def test_a_damaged_driving_frame_is_named_and_leaves_no_record(work, actor):
     with pytest.raises(UnreadableFile, match=r"clip_002\.png"):
         run(work, frames=given)
     assert not (work / "out" / "record.json").exists()
-
-
-@pytest.mark.parametrize("face", [None, FaceSeen(False), FaceSeen(True, True, 31.5, -2 / 3)])
-@pytest.mark.parametrize("outside", [None, 1 / 3])
-def test_a_finished_frame_reads_back_bit_equal(face, outside):
-    quality = Quality(*(1 / (3 + place) for place in range(len(dataclasses.fields(Quality)))))
-    document = FrameMade((0.1, -1 / 3), quality, Reach(1 / 7, -1 / 11), face, outside, 3, "ab").document()
-    assert made_of(json.loads(json.dumps(document))).document() == document
 
 
 def test_the_words_of_methods_are_the_methods():
