@@ -333,7 +333,9 @@ def test_told_entries_need_a_description(folder):
     request = SampleRequest(folder / "a.morph", folder)
 
     def planned(columns, **told) -> PlannedSet:
-        return plan_of(request, "sample", model, [Drawing("a", np.zeros((1, 3)), told=told)], columns=columns)
+        return plan_of(
+            request, "sample", model, [Drawing("a", np.zeros((1, 3)), variables=told)], columns=columns
+        )
 
     assert list(planned({"mood": Column("How it looks")}, mood="glad").variable_columns()) == ["mood"]
     with pytest.raises(BadInput, match="'mood' has no description"):
