@@ -14,6 +14,7 @@ entries, unless a document is `Open`.
 
 from __future__ import annotations
 
+import json
 import re
 import typing
 from collections.abc import Mapping
@@ -26,6 +27,8 @@ from annotated_types import Gt, Le, Len
 
 from morphspace.errors import UnreadableFile
 from morphspace.settings import (
+    LONGEST_SHOWN,
+    Called,
     Field,
     OneOf,
     Pattern,
@@ -36,7 +39,6 @@ from morphspace.settings import (
     kind_and_marks,
     mark_of,
     number_schema,
-    shown,
     within,
     worded,
 )
@@ -87,8 +89,8 @@ Line = Annotated[str, Pattern(r"[^\x00-\x1f\x7f]*", "a text on one line")]
 FileName = Annotated[str, Pattern("[^/]+", "the name of a file without its folder")]
 Versions = Annotated[dict[str, str], Holds(("morphspace", "python"))]
 Side = Annotated[int, Gt(0), Le(1_000_000)]
-Size = Annotated[list[Side], Len(2, 2)]
-Point = Annotated[list[float], Len(2, 2)]
+Size = Annotated[list[Side], Len(2, 2), Called("[width, height] in px")]
+Point = Annotated[list[float], Len(2, 2), Called("[x, y] in px")]
 Columns = Annotated[dict[str, Meaning], Len(1)]
 Table = Annotated[list[list[float]], Len(1), OneLength()]
 FrameRate = Annotated[float, Gt(0), Le(1000)]
@@ -172,7 +174,7 @@ def read_json_object(path: Path) -> dict[str, Any]:
     """Read any JSON object. Raises `UnreadableFile` if the file cannot be read or holds something else."""
     document = read_json(path)
     if not isinstance(document, dict):
-        raise UnreadableFile(f"{path}: it is {shown(document)}; expected an object. Write it again")
+        raise UnreadableFile(f"{path}: it is {_shown(document)}; expected an object. Write it again")
     return document
 
 
@@ -208,13 +210,13 @@ def _check(value: Any, kind: Any, name: str, marks: tuple[Any, ...] = ()) -> Non
 
 
 def _wrong(value: Any, kind: Any, name: str, marks: tuple[Any, ...]) -> WrongSetting:
-    return WrongSetting(name, f"is {_json_words(value)}; expected {worded(kind, marks)}")
+    return WrongSetting(name, f"is {_shown(value)}; expected {worded(kind, marks)}")
 
 
-def _json_words(value: Any) -> str:
-    """Return a value for a message as JSON spells it."""
-    words = {None: "null", True: "true", False: "false"}
-    return words[value] if value is None or isinstance(value, bool) else shown(value)
+def _shown(value: Any) -> str:
+    """Return a value for a message as JSON spells it, cut if it is long."""
+    text = json.dumps(value, ensure_ascii=False)
+    return text if len(text) <= LONGEST_SHOWN else f"{text[: LONGEST_SHOWN - 3]}..."
 
 
 def _check_union(value: Any, kind: Any, name: str, marks: tuple[Any, ...]) -> None:
@@ -251,7 +253,7 @@ def _check_mapping(value: Mapping[str, Any], kind: Any, name: str, marks: tuple[
         raise WrongSetting(name, f"is empty; expected {length.min_length} entry or more")
     for key, one in value.items():
         if not _fits(key, *kind_and_marks(key_kind)):
-            raise WrongSetting(name, f"has the entry {shown(key)}; expected {worded(key_kind)}")
+            raise WrongSetting(name, f"has the entry {_shown(key)}; expected {worded(key_kind)}")
         _check(one, each, _inside(name, key))
 
 
@@ -286,7 +288,7 @@ def _fits(value: Any, kind: Any, marks: tuple[Any, ...]) -> bool:
 
 
 def _inside(name: str, key: str) -> str:
-    key = key if key.isprintable() and 0 < len(key) <= LONGEST_KEY else shown(key)
+    key = key if key.isprintable() and 0 < len(key) <= LONGEST_KEY else _shown(key)
     return f"{name}.{key}" if name else key
 
 

@@ -91,6 +91,13 @@ class Pattern:
 
 
 @dataclass(frozen=True)
+class Called:
+    """What the values of a list of fixed length are, such as `[x, y] in px`."""
+
+    words: str
+
+
+@dataclass(frozen=True)
 class Spelled:
     """The word for None in a text, such as auto or all."""
 
@@ -451,7 +458,8 @@ def worded(kind: Any, marks: tuple[Any, ...] = (), *, many: bool = False) -> str
     if origin is list:
         length, values = mark_of(marks, Len), worded(inner[0], many=True)
         if length is not None and length.min_length == length.max_length:
-            counted = f"{length.min_length} {values}"
+            called = mark_of(marks, Called)
+            counted = f"{length.min_length} {values}" if called is None else called.words
             return (
                 (f"pairs of {values}" if length.min_length == 2 else f"lists of {counted}")
                 if many

@@ -26,6 +26,7 @@ from morphspace.documents import (
 from morphspace.errors import ModelFileError, UnreadableFile
 from morphspace.face.faceframe import RegistrationKind
 from morphspace.face.mesh import GROUPS, LANDMARKS
+from morphspace.settings import Called
 from morphspace.storage import digest_of_array, digest_of_json, read_container
 
 Weight = Annotated[float, Gt(0)]
@@ -45,7 +46,7 @@ class FramingEntry(TypedDict):
     """How the source pictures became the frames of the model, px."""
 
     source_size: Size
-    crop: OrNull[Annotated[list[int], Len(4, 4)]]
+    crop: OrNull[Annotated[list[int], Len(4, 4), Called("[x, y, width, height] in px")]]
     size: Size
     crop_found: NotRequired[dict[str, Any]]
 
@@ -108,7 +109,7 @@ class Provenance(TypedDict):
     mask_from: NotRequired[Literal["given", "found face", "faceframe", "ellipse"]]
     landmarks: NotRequired[Annotated[OrNull[SearchEntry], Open()]]
     components_asked: NotRequired[Annotated[int, Ge(1)]]
-    warp_weight_trials: NotRequired[list[Point]]
+    warp_weight_trials: NotRequired[list[Annotated[list[float], Len(2, 2)]]]
     keypoints: NotRequired[Annotated[OrNull[KeypointsEntry], Open()]]
     blend: NotRequired[Annotated[BlendEntry, Open()]]
     pair: NotRequired[dict[str, Any]]

@@ -59,7 +59,7 @@ class Example(TypedDict):
     format: Literal["morphspace-example"]
     version: Literal[1]
     inner: OrNull[Inner]
-    points: Annotated[list[Annotated[list[float], Len(2, 2)]], Len(1)]
+    points: Annotated[list[Point], Len(1)]
     rows: NotRequired[Annotated[list[list[float]], OneLength()]]
     digests: NotRequired[Digests]
     packages: NotRequired[Annotated[dict[str, str], Holds(("python",)), Len(1)]]
@@ -74,27 +74,27 @@ RIGHT = {"format": "morphspace-example", "version": 1, "inner": None, "points": 
 @pytest.mark.parametrize(
     ("entry", "value", "words"),
     [
-        ("format", "other", "format is 'other'; expected morphspace-example. Correct it"),
+        ("format", "other", 'format is "other"; expected morphspace-example. Correct it'),
         ("version", True, "version is true; expected 1. Install the morphspace that wrote it"),
         ("version", 2, "version is 2; expected 1. Install the morphspace that wrote it"),
         ("inner", ..., "inner is missing; expected an object or null. Correct it"),
         ("inner", 3, "inner is 3; expected an object or null. Correct it"),
         ("inner", {}, "inner.side is missing; expected a whole number above 0, up to 9. Correct it"),
-        ("inner", {"side": "3"}, "inner.side is 3; expected a whole number above 0, up to 9. Correct it"),
+        ("inner", {"side": "3"}, 'inner.side is "3"; expected a whole number above 0, up to 9. Correct it'),
         ("inner", {"side": True}, "inner.side is true; expected a whole number above 0, up to 9. Correct it"),
         ("inner", {"side": 3.0}, "inner.side is 3.0; expected a whole number above 0, up to 9. Correct it"),
         ("inner", {"side": 10}, "inner.side is 10; expected a whole number above 0, up to 9. Correct it"),
-        ("inner", {"side": 1, "name": "A"}, "inner.name is 'A'; expected small letters or null. Correct it"),
+        ("inner", {"side": 1, "name": "A"}, 'inner.name is "A"; expected small letters or null. Correct it'),
         ("inner", {"side": 1, "x": 1}, "inner.x is unknown; expected only side, name. Correct it"),
         ("points", [], "points is []; expected a list of pairs of numbers, 1 or more. Correct it"),
-        ("points", [[1, 2], [3]], "points[1] is [3]; expected 2 numbers. Correct it"),
+        ("points", [[1, 2], [3]], "points[1] is [3]; expected [x, y] in px. Correct it"),
         ("points", [[True, 2]], "points[0][0] is true; expected a number. Correct it"),
         ("points", [[1, None]], "points[0][1] is null; expected a number. Correct it"),
         ("rows", [[1, 2], [3]], "rows[1] has 1 values; expected 2 as in the first row. Correct it"),
-        ("digests", {"a": "b"}, "digests.a is 'b'; expected a SHA-256 of 64 hexadecimal digits. Correct it"),
+        ("digests", {"a": "b"}, 'digests.a is "b"; expected a SHA-256 of 64 hexadecimal digits. Correct it'),
         ("packages", {}, "packages.python is missing; expected a text. Correct it"),
         ("share", 1.5, "share is 1.5; expected a number from 0 to 1 or auto or true or false. Correct it"),
-        ("part", "ear", "part is 'ear'; expected one of eyes, mouth. Correct it"),
+        ("part", "ear", 'part is "ear"; expected one of eyes, mouth. Correct it'),
     ],
 )
 def test_a_wrong_entry_is_refused_with_its_path_its_value_and_what_is_expected(entry, value, words):

@@ -387,7 +387,7 @@ def test_a_future_version_and_another_format_are_refused(saved):
     rewritten(saved, lambda arrays, document: document.update(version=2))
     assert_refused(saved, r"some\.morph: version is 2; expected 1\. Install")
     rewritten(saved, lambda arrays, document: document.update(version=1, format="morphspace-avatar"))
-    assert_refused(saved, "format is 'morphspace-avatar'; expected morphspace-model")
+    assert_refused(saved, 'format is "morphspace-avatar"; expected morphspace-model')
 
 
 NAMES = [
