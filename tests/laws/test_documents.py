@@ -22,6 +22,7 @@ from morphspace.documents import (
     OneLength,
     Open,
     OrNull,
+    Point,
     entries_of,
     read_json_object,
 )
