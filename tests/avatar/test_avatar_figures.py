@@ -287,6 +287,6 @@ def test_a_studio_takes_who_has_weight_in_the_order_of_digests(drawn_anna, drawn
     assert flat.mixer(0) is not flat.mixer(1) and studio.mixer(0) is studio.mixer(1)
     alone = studio_of(models, settings_of(weights=(0, 2)))
     assert alone.part == (1,) and alone.reference == 0 and len(alone.cast.models) == 1
-    with pytest.raises(BadInput, match="takes no part"):
+    with pytest.raises(BadInput, match="has the weight 0"):
         studio_of(models, settings_of(weights=(0, 2), reference=names[0]))
     assert len({str(one.identity()) for one in (studio, flat, alone)}) == 3

@@ -8,6 +8,7 @@ from morphspace.grid import warp
 from morphspace.linear.pca import Basis, fit_basis
 from morphspace.linear.quality import psnr_db
 from morphspace.linear.rows import RowArray
+from morphspace.model import fit as fit_module
 from morphspace.model.fit import AREA_RANGE, NOISE_VARIANCE, Fitter
 from morphspace.model.model import inner_product
 from morphspace.model.morph import Morph
@@ -94,6 +95,18 @@ def test_the_way_to_the_face_of_a_drawn_person(drawn_anna):
     assert off_sd(faces[[2, 5, 9]], 0.5, steps=2) == pytest.approx(0.1098, abs=0.003)
     assert off_sd(faces[[2, 5, 9]], -0.5) == pytest.approx(0.0949, abs=0.0006)
     assert off_sd(1.5 * faces[:5], 0.0) == pytest.approx(0.326, abs=0.02)
+
+
+def test_pixels_may_be_taken_in_blocks_of_any_size(drawn_anna, monkeypatch):
+    """One step from half way: its curvature is the sum over all blocks."""
+    model = drawn_anna.model
+    face = model.training.values[5]
+    found = []
+    for pixels in (2048, 64, 7):
+        monkeypatch.setattr(fit_module, "BLOCK_PIXELS", pixels)
+        found.append(Fitter(model.mean, model.basis, model.mask).fit(model.render(face), 0.5 * face, steps=1))
+    for one in found[1:]:
+        assert_allclose(one / model.sd, found[0] / model.sd, atol=1e-3)
 
 
 def test_the_start_is_not_changed(model):
