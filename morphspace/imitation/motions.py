@@ -22,7 +22,7 @@ from morphspace.io.framing import FramedClip
 from morphspace.io.images import read_mask
 from morphspace.io.tables import LoadingsDocument, read_loadings_table
 from morphspace.linear.posterior import Posterior
-from morphspace.model.encode import STRANGE, encoded_frames, energy_outside, framed_for, notes_on_enlarging
+from morphspace.model.encode import STRANGE, encoded_frames, energy_outside, framed_for, notes_on_frames
 from morphspace.model.keypoints import region_of
 from morphspace.model.model import MorphModel, inner_product
 from morphspace.steps import Step, Steps, in_order
@@ -127,8 +127,7 @@ def opened(
         source = _table(Path(given), read_in, model, notes)
     else:
         clip = framed_for(read_in, (given,), None)
-        notes += clip.clip.notes
-        notes += notes_on_enlarging(clip.framing, read_in.identity, f"frames of the {role}")
+        notes += notes_on_frames(clip, read_in.identity, f"frames of the {role}")
         inputs = dict(zip(clip.names, clip.file_digests, strict=True))
         rate_hz = clip.clip.sidecar.frame_rate_hz
         unknown = np.zeros((len(clip.names), read_in.rank))

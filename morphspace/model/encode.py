@@ -127,9 +127,11 @@ def notes_on_framing(framing: Framing, identity: str, what: str = "frames") -> t
     )
 
 
-def notes_on_enlarging(framing: Framing, identity: str, what: str = "frames") -> tuple[str, ...]:
-    """Report the same only if frames were enlarged, which loses small motions."""
-    return notes_on_framing(framing, identity, what) if framing.scaled_size[0] > framing.box[2] else ()
+def notes_on_frames(source: FramedClip, identity: str, what: str = "frames") -> tuple[str, ...]:
+    """Report pictures that a clip passed over, and frames that were enlarged, as `notes_on_framing`."""
+    framing = source.framing
+    is_enlarged = framing.scaled_size[0] > framing.box[2]
+    return source.clip.notes + (notes_on_framing(framing, identity, what) if is_enlarged else ())
 
 
 def energy_outside(offset: MorphOffset, model: MorphModel, inside: LoadingVector | None = None) -> float:

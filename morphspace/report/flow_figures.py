@@ -23,6 +23,8 @@ from morphspace.io.points import read_landmark_pair
 from morphspace.linear.quality import endpoint_error, forward_backward_px, photometric_rmse, stays_inside
 from morphspace.steps import Step, Steps
 
+LISTED = 5  # landmarks; a message lists no more
+
 
 def read_pair(
     reference_path: Path,
@@ -66,18 +68,25 @@ def read_pair(
         landmarks = read_landmark_pair(*landmark_paths)
         for points, path, name in zip(landmarks, landmark_paths, names, strict=True):
             check_spread(points, str(path))
-            check_inside(points, path, name, height, width)
+            notes += check_inside(points, path, name, height, width)
     return Pair(reference, frame, start, landmarks, tuple(notes))
 
 
-def check_inside(points: Points, path: Path, picture: str, height: int, width: int) -> None:
-    """Check that most landmarks (m, 2) are inside their picture; a cropped ear may be outside. Raises `BadInput`."""
+def check_inside(points: Points, path: Path, picture: str, height: int, width: int) -> tuple[str, ...]:
+    """Check that most landmarks (m, 2) are inside their picture; a cropped ear may be outside, which a note says.
+
+    Raises `BadInput` if more than half are outside.
+    """
     outside = ((points < -0.5) | (points > np.array([width, height]) - 0.5)).any(axis=1)
-    if 2 * outside.sum() > len(points):
+    places = (np.flatnonzero(outside) + 1).tolist()
+    more = f" and {len(places) - LISTED} more" if len(places) > LISTED else ""
+    which = f"{path}: landmarks {', '.join(map(str, places[:LISTED]))}{more} of {len(points)}"
+    if 2 * len(places) > len(points):
         raise BadInput(
-            f"{path}: {outside.sum()} of {len(points)} landmarks lie outside {picture}, which has {width}x{height} px: "
-            "give those that were marked on this picture, at this size"
+            f"{which} lie outside {picture}, which has {width}x{height} px: give those that were marked on this "
+            "picture, at this size"
         )
+    return (f"{which} lie outside {picture}: check them",) if places else ()
 
 
 @dataclass(frozen=True, eq=False)

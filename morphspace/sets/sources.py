@@ -16,7 +16,7 @@ from morphspace.io.clips import Clip
 from morphspace.io.framing import FramedClip
 from morphspace.io.names import UNFIT
 from morphspace.io.tables import read_loadings_table
-from morphspace.model.encode import framed_for, notes_on_enlarging
+from morphspace.model.encode import framed_for, notes_on_frames
 from morphspace.model.model import MorphModel
 from morphspace.sets.kept import digest_of_kept, encoded_clip
 from morphspace.sets.plan import KEPT_STEMS
@@ -164,7 +164,7 @@ def _of_clip(
     loadings, _ = yield from encoded_clip(model, source)
     rate = source.clip.sidecar.frame_rate_hz or model.provenance.get("frame_rate_hz") or FRAME_RATE_HZ
     inputs = {f"clip/{name}": digest for name, digest in zip(source.names, source.file_digests, strict=True)}
-    notes = notes_on_enlarging(source.framing, model.identity)
+    notes = notes_on_frames(source, model.identity)
     notes += notes_on_identity(model, source.clip)
     return Faces(source.clip.name, source.names, loadings.in_sd(model).values, float(rate), inputs, notes)
 

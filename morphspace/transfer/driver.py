@@ -124,5 +124,5 @@ def clip_driver(source: UsedModel, frames: str) -> Driver:
         offset=offset,
         picture=lambda picture: picture,
         files=framed.clip.paths,
-        notes=notes_on_framing(framed.framing, model.identity, "driving frames"),
+        notes=framed.clip.notes + notes_on_framing(framed.framing, model.identity, "driving frames"),
     )

@@ -34,7 +34,7 @@ def run(request: EncodeRequest) -> Steps[Outcome]:
         encoded_frames,
         framed_for,
         joined,
-        notes_on_enlarging,
+        notes_on_frames,
         notes_on_own,
     )
     from morphspace.model.model import load_model
@@ -66,7 +66,7 @@ def run(request: EncodeRequest) -> Steps[Outcome]:
         "components": model.rank,
         "furthest_sd": furthest,
     }
-    notes = source.clip.notes + notes_on_enlarging(source.framing, model.identity)
+    notes = notes_on_frames(source, model.identity)
     notes += notes_on_own(own)
     return Outcome(lines, document, notes, written)
 

@@ -57,7 +57,7 @@ def plan(request: PlaceRequest, model: MorphModel | None = None) -> Steps[Planne
 
     from morphspace.io.stimulus_sidecars import ORIGINAL_IDENTITY
     from morphspace.io.tables import read_loadings_table
-    from morphspace.model.encode import framed_for, notes_on_enlarging
+    from morphspace.model.encode import framed_for, notes_on_frames
     from morphspace.model.model import load_model
     from morphspace.sets.kept import aligned_clip, digest_of_kept, encoded_clip
     from morphspace.sets.manifest import Column
@@ -76,7 +76,7 @@ def plan(request: PlaceRequest, model: MorphModel | None = None) -> Steps[Planne
 
     model = model or load_model(request.model)
     source = framed_for(model, request.clip, request.crop)
-    inputs, notes = {}, notes_on_enlarging(source.framing, model.identity)
+    inputs, notes = {}, notes_on_frames(source, model.identity)
     if request.loadings is None:
         source = frames_of(source, request.frames or source.names)
         loadings, registrations = yield from encoded_clip(model, source)

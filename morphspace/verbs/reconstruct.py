@@ -35,7 +35,7 @@ def run(request: ReconstructRequest) -> Steps[Outcome]:
     """Write aligned/, reconstructed/, placed/, metrics.csv, loadings.csv, sheet.png and index.html."""
     import numpy as np
 
-    from morphspace.model.encode import first_components, framed_for, notes_on_enlarging
+    from morphspace.model.encode import first_components, framed_for, notes_on_frames
     from morphspace.model.model import load_model
     from morphspace.outcome import RECORD_NAME, Outcome, write_record
     from morphspace.report.reconstruction import (
@@ -51,7 +51,7 @@ def run(request: ReconstructRequest) -> Steps[Outcome]:
     whole, folder = load_model(request.model), request.output
     model, notes = first_components(whole, request.components)
     source = framed_for(model, request.sources, request.crop)
-    notes += notes_on_enlarging(source.framing, model.identity)
+    notes += notes_on_frames(source, model.identity)
     names = (*FOLDERS, METRICS_NAME, "loadings.csv", "loadings.json", SHEET_NAME, PAGE_NAME, RECORD_NAME)
     guarded = Output("reconstruct", folder, [folder / name for name in names], inputs=source.clip.paths)
     inputs = dict(zip(source.names, source.file_digests, strict=True))

@@ -14,6 +14,8 @@ import safetensors
 from morphspace.cli.documents import DOCUMENTS
 from morphspace.errors import BadInput, ModelFileError, UnreadableFile
 from morphspace.face.mesh import LANDMARKS
+from morphspace.io import limits
+from morphspace.io.clips import IMAGE_SUFFIXES
 from morphspace.io.sidecars import MarkedFaceframe, Sidecar, read_faceframe, read_sidecar, write_sidecar
 from morphspace.io.tables import read_loadings_table, write_loadings_table
 from morphspace.model.file import OPTIONAL_ARRAY_KINDS
@@ -403,3 +405,11 @@ def test_swapped_eyes_are_exchanged_and_points_outside_are_refused():
     MarkedFaceframe("a.png", POINTS, (40, 36))
     with pytest.raises(BadInput, match="not finite or not three"):
         MarkedFaceframe("a.png", np.full((3, 2), np.nan))
+
+
+def test_the_page_of_inputs_has_every_limit_and_every_kind_of_picture():
+    page = (DATA_SPEC.parent / "docs" / "inputs.md").read_text(encoding="utf-8")
+    for limit in (limits.PICTURE_PX, limits.TABLE_BYTES, limits.RECIPE_BYTES, limits.POINTS_BYTES):
+        assert re.search(rf"\| {limit.usual:,} {limit.unit}\b.*\| `{limit.variable}` \|", page)
+    clip_folder = (DATA_SPEC / "clip-folder.md").read_text(encoding="utf-8")
+    assert f"(`{' '.join(IMAGE_SUFFIXES)}`)" in clip_folder

@@ -32,6 +32,7 @@ from morphspace.io.flow_fields import UNKNOWN_PX, read_flow, write_flows
 from morphspace.io.images import read_image, write_image
 from morphspace.io.tables import read_metrics_table
 from morphspace.linear.quality import forward_backward_px, stays_inside
+from morphspace.report.flow_figures import check_inside
 from morphspace.requests import field_named
 from morphspace.storage import digest_of_file, whole_file
 from morphspace.verbs.build_model import BuildModelRequest
@@ -620,3 +621,16 @@ def test_a_hangup_that_is_ignored_stays_ignored(folder, asked, number):
     signal.signal(number, signal.SIG_IGN)
     done(folder / "a.png", folder / "b.png", "-o", folder / "o.flo", *FAST)
     assert signal.getsignal(number) == signal.SIG_IGN
+
+
+def test_landmarks_outside_their_picture_are_named_by_number_and_refused_if_they_are_most():
+    points = np.tile([[5.0, 5.0]], (13, 1))
+    assert check_inside(points, Path("a.tem"), "a.png", 20, 30) == ()
+    points[[2, 6]] = (-0.6, 5), (5, 19.6)
+    (note,) = check_inside(points, Path("a.tem"), "a.png", 20, 30)
+    assert note == "a.tem: landmarks 3, 7 of 13 lie outside a.png: check them"
+    points[:8] = (29.6, 5)
+    with pytest.raises(
+        BadInput, match=r"landmarks 1, 2, 3, 4, 5 and 3 more of 13 lie outside a\.png, .* 30x20 px"
+    ):
+        check_inside(points, Path("a.tem"), "a.png", 20, 30)

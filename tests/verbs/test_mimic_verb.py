@@ -26,13 +26,14 @@ from morphspace.face.mesh import (
     FacePoints,
 )
 from morphspace.face.regions import face_mask
-from morphspace.io.framing import Framing
+from morphspace.io.clips import open_clip
+from morphspace.io.framing import FramedClip, Framing
 from morphspace.io.images import read_image, write_image
 from morphspace.io.tables import read_loadings_table, read_metrics_table
 from morphspace.io.video import video_info
 from morphspace.linear.pca import fit_basis
 from morphspace.linear.rows import RowArray
-from morphspace.model.encode import notes_on_enlarging, notes_on_framing
+from morphspace.model.encode import notes_on_frames, notes_on_framing
 from morphspace.model.keypoints import how_to_learn, required_landmarks
 from morphspace.model.loadings import Loadings
 from morphspace.model.model import MorphModel, inner_product, load_model, model_digest
@@ -543,7 +544,10 @@ def test_tiny_driving_frames_are_said_to_be_enlarged_and_tinier_ones_refused(wor
     framing = Framing((36, 43), None, (200, 240))
     assert "enlarged to 201x240" in notes_on_framing(framing, "x")[0]
     assert "5.6 times, and small motions are lost" in notes_on_framing(framing, "x")[0]
-    assert notes_on_enlarging(Framing((400, 480), None, (200, 240)), "x") == ()
+    large = FramedClip(open_clip([str(work / "w36")]), Framing((400, 480), None, (200, 240)))
+    assert notes_on_frames(large, "x") == ()
+    said = dataclasses.replace(large, clip=dataclasses.replace(large.clip, notes=("6 .HEIC",)))
+    assert notes_on_frames(said, "x") == ("6 .HEIC",)
 
 
 def test_driving_frames_of_another_person_are_said_to_be(work, actor, other):
