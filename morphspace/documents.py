@@ -26,6 +26,7 @@ from typing import Annotated, Any, Generic, Literal, NotRequired
 from annotated_types import Gt, Le, Len
 
 from morphspace.errors import UnreadableFile
+from morphspace.requests import RateHz
 from morphspace.settings import (
     LONGEST_SHOWN,
     Called,
@@ -93,7 +94,7 @@ Size = Annotated[list[Side], Len(2, 2), Called("[width, height] in px")]
 Point = Annotated[list[float], Len(2, 2), Called("[x, y] in px")]
 Columns = Annotated[dict[str, Meaning], Len(1)]
 Table = Annotated[list[list[float]], Len(1), OneLength()]
-FrameRate = Annotated[float, Gt(0), Le(1000)]
+FrameRate = RateHz
 
 
 @dataclass(frozen=True)

@@ -58,12 +58,19 @@ Folder = Annotated[Path, Option("-o", "--output"), Help("The output folder.")]
 Crop = Annotated[tuple[int, int, int, int], Separated(",", "10,20,200,240"), Option(metavar="X,Y,W,H")]
 Size = Annotated[tuple[int, int], Separated("xX", "200x240"), Option(metavar="WxH")]
 FrameCrop = Annotated[Crop | None, Help("Cut this box out of every frame first, px.")]
+LEAST_RATE_HZ = 0.01  # Hz; a picture in 100 s of a time-lapse
+MOST_RATE_HZ = 10_000.0  # Hz; high-speed cameras
+RateHz = Annotated[float, Ge(LEAST_RATE_HZ), Le(MOST_RATE_HZ)]
+"""The limits of every frame rate: of settings, files beside clips and tables, videos and models."""
+
 FrameRate = Annotated[
-    float | None,
-    Ge(1),
-    Le(1000),
+    RateHz | None,
     Option("--frame-rate", metavar="HZ"),
     Help("Frame rate of a video, Hz."),
+]
+Deinterlace = Annotated[
+    bool,
+    Help("Make whole frames of an interlaced video with FFmpeg's bwdif; without it such a video is refused."),
 ]
 Frames = Annotated[
     tuple[str, ...],
@@ -182,6 +189,15 @@ def settings_in(request: Any, kind: type[Part], **more: Any) -> Part:
     shared = {field.name for field in fields_of(kind_of_request)} - set(more)
     own: Any = dataclasses.fields(typing.cast(Any, kind))
     return kind(**{one.name: getattr(request, one.name) for one in own if one.name in shared}, **more)
+
+
+def check_rate(rate_hz: float, what: str) -> float:
+    """Return a frame rate, Hz, within the limits of `RateHz`. Raises `BadInput`, which names it as `what`."""
+    if not LEAST_RATE_HZ <= rate_hz <= MOST_RATE_HZ:
+        raise BadInput(
+            f"{what} is {rate_hz:g} Hz; expected {LEAST_RATE_HZ:g} to {MOST_RATE_HZ:g}. Give the true rate"
+        )
+    return rate_hz
 
 
 # Records of requests.

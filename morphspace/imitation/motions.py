@@ -17,7 +17,8 @@ from morphspace.face.detector import Detector
 from morphspace.face.regions import WHOLE
 from morphspace.imitation import masked_basis
 from morphspace.imitation.imitator import Imitator
-from morphspace.imitation.shape import LEAST_FRAMES, resampled
+from morphspace.imitation.shape import LEAST_FRAMES
+from morphspace.io.clock import even_positions, is_even, sampled_at, sampled_words, uneven_words
 from morphspace.io.framing import FramedClip
 from morphspace.io.images import read_mask
 from morphspace.io.tables import LoadingsDocument, read_loadings_table
@@ -56,6 +57,8 @@ class Motion:
         The digests of the files.
     imitator : Imitator or None
         The model of the clip or table, if it is not that of the stimulus.
+    times_s : array (n,) s, or None
+        The times of the frames, if they are known.
     outside : float or None
         The energy of the frames outside the model's space (see `encode.STRANGE`), if measured.
     """
@@ -70,6 +73,7 @@ class Motion:
     inputs: dict[str, str]
     imitator: Imitator | None = None
     outside: float | None = None
+    times_s: AnyArray | None = None
 
     @property
     def is_strange(self) -> bool:
@@ -132,7 +136,10 @@ def opened(
         rate_hz = clip.clip.sidecar.frame_rate_hz
         unknown = np.zeros((len(clip.names), read_in.rank))
         places = np.arange(len(clip.names))
-        source = Motion(clip.clip.name, clip.names, unknown, rate_hz, clip, read_in.rank, places, inputs)
+        times_s = None if clip.clip.times_s is None else np.array(clip.clip.times_s)
+        source = Motion(
+            clip.clip.name, clip.names, unknown, rate_hz, clip, read_in.rank, places, inputs, times_s=times_s
+        )
     if len(source.frame_names) < LEAST_FRAMES:
         raise BadInput(
             f"the {role} {given} has {len(source.frame_names)} frame(s); expected at least {LEAST_FRAMES} to compare "
@@ -175,6 +182,7 @@ def _table(path: Path, model: MorphModel, stimulus: MorphModel, notes: list[str]
         columns,
         places,
         inputs,
+        times_s=table.times_s,
     )
 
 
@@ -261,26 +269,24 @@ def _carried(source: Motion, imitator: Imitator, model: MorphModel) -> Steps[Mot
     return replace(source, loadings_sd=np.stack(rows) / model.sd)
 
 
-def at_rate_of(stimulus: Motion, imitation: Motion, notes: list[str]) -> Motion:
-    """Resample the imitation to the stimulus' frame rate if both are known, and append notes on timing."""
-    if stimulus.rate_hz and imitation.rate_hz and stimulus.rate_hz != imitation.rate_hz:
-        rate_hz = stimulus.rate_hz
-        loadings = resampled(imitation.loadings_sd, imitation.rate_hz, rate_hz)
-        places = np.round(np.arange(len(loadings)) / rate_hz * imitation.rate_hz).astype(np.intp)
-        places = np.minimum(places, len(imitation.places) - 1)
-        notes.append(
-            f"the stimulus has {rate_hz:g} Hz, the imitation {imitation.rate_hz:g} Hz: the imitation was resampled "
-            f"linearly to {rate_hz:g} Hz, from {len(imitation.places)} to {len(loadings)} frames"
-        )
-        if len(loadings) < LEAST_FRAMES:
+def at_common_rate(stimulus: Motion, imitation: Motion, notes: list[str]) -> tuple[Motion, Motion]:
+    """Sample both motions at even times, at the stimulus' rate if it is known, and append notes on timing."""
+    own_hz, count = imitation.rate_hz, len(imitation.loadings_sd)
+    was_even = is_even(imitation.times_s, own_hz)
+    stimulus = _evened(stimulus, stimulus.rate_hz, notes)
+    imitation = _evened(imitation, stimulus.rate_hz or own_hz, notes)
+    if stimulus.rate_hz and own_hz and stimulus.rate_hz != own_hz:
+        rate_hz, samples = stimulus.rate_hz, len(imitation.loadings_sd)
+        if was_even:
+            notes.append(
+                f"the stimulus has {rate_hz:g} Hz, the imitation {own_hz:g} Hz: the imitation was resampled "
+                f"linearly to {rate_hz:g} Hz, from {count} to {samples} frames"
+            )
+        if samples < LEAST_FRAMES:
             raise BadInput(
-                f"the imitation has {len(loadings)} frame(s) at the stimulus' {rate_hz:g} Hz; expected at least "
+                f"the imitation has {samples} frame(s) at the stimulus' {rate_hz:g} Hz; expected at least "
                 f"{LEAST_FRAMES}. Give a longer imitation"
             )
-        names = tuple(f"{imitation.name}_{index:06d}" for index in range(len(loadings)))
-        imitation = replace(
-            imitation, frame_names=names, loadings_sd=loadings, rate_hz=rate_hz, places=places
-        )
     elif (stimulus.rate_hz is None) != (imitation.rate_hz is None):
         known = "stimulus" if stimulus.rate_hz else "imitation"
         notes.append(
@@ -293,7 +299,31 @@ def at_rate_of(stimulus: Motion, imitation: Motion, notes: list[str]) -> Motion:
             f"the stimulus has {n} frames, the imitation {m}: correlation, distance, gain, information and entropy use "
             f"the first {min(n, m)} of each; lag and alignment use all"
         )
-    return imitation
+    return stimulus, imitation
+
+
+def _evened(motion: Motion, rate_hz: float | None, notes: list[str]) -> Motion:
+    """Sample a motion at even times at a rate, Hz; each sample's picture is that of the nearest frame."""
+    own_hz = motion.rate_hz
+    if rate_hz is None or own_hz is None:
+        return motion
+    is_steady = is_even(motion.times_s, own_hz)
+    if is_steady and rate_hz == own_hz:
+        return motion
+    frames = len(motion.loadings_sd)
+    times_s = np.arange(frames) / own_hz if motion.times_s is None else motion.times_s
+    positions = even_positions(times_s, rate_hz)
+    if not is_steady:
+        words = sampled_words(frames, rate_hz, len(positions))
+        notes.append(uneven_words(motion.name, times_s, words))
+    return replace(
+        motion,
+        frame_names=tuple(f"{motion.name}_{index:06d}" for index in range(len(positions))),
+        loadings_sd=sampled_at(motion.loadings_sd, positions),
+        rate_hz=rate_hz,
+        places=motion.places[np.rint(positions).astype(np.intp)],
+        times_s=None,
+    )
 
 
 @dataclass(frozen=True, eq=False)

@@ -117,18 +117,3 @@ def peak(curve: AnyArray, lags: AnyArray) -> tuple[AnyArray, AnyArray]:
     place = order[np.where(known, np.round(curve, 9), -2.0)[order].argmax(axis=0)]
     height = curve[place, np.arange(curve.shape[1])]
     return np.where(known.any(axis=0), lags[place], np.nan), height
-
-
-def resampled(sequence: LoadingTable, rate_hz: float, to_rate_hz: float) -> LoadingTable:
-    """Resample a sequence (n, k) to another frame rate, (m, k), by linear interpolation without extrapolation.
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> resampled(np.array([[0.0], [2], [4]]), 25, 50).ravel().tolist()
-    [0.0, 1.0, 2.0, 3.0, 4.0]
-    """
-    seconds = np.arange(len(sequence)) / rate_hz
-    count = int(np.floor(seconds[-1] * to_rate_hz + 1e-9)) + 1
-    wanted = np.arange(count) / to_rate_hz
-    return np.column_stack([np.interp(wanted, seconds, column) for column in sequence.T])

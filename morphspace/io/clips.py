@@ -19,6 +19,7 @@ from morphspace.errors import BadInput, SizeMismatch, UnreadableFile
 from morphspace.io.images import animation_frames, image_size, read_image
 from morphspace.io.names import check_frame_name, check_link, check_name, composed
 from morphspace.io.sidecars import Sidecar, read_sidecar
+from morphspace.requests import LEAST_RATE_HZ, MOST_RATE_HZ
 from morphspace.storage import digest_of_bytes, digest_of_file
 
 IMAGE_SUFFIXES = (".png", ".tif", ".tiff", ".jpg", ".jpeg", ".exr", ".bmp", ".webp", ".avif", ".jxl")
@@ -26,7 +27,20 @@ PHONE_SUFFIXES = (
     ".heic",
     ".heif",
 )  # frames if libav reads them: it does not join the tiles of a phone's picture
-VIDEO_SUFFIXES = (".mp4", ".mov", ".mkv", ".avi", ".webm", ".m4v", ".mpg", ".mpeg", ".apng")
+VIDEO_SUFFIXES = (
+    ".mp4",
+    ".mov",
+    ".mkv",
+    ".avi",
+    ".webm",
+    ".m4v",
+    ".mpg",
+    ".mpeg",
+    ".mts",
+    ".m2ts",
+    ".dv",
+    ".apng",
+)
 OTHER_PICTURES = (  # formats of pictures that are counted in a note, never passed over in silence
     *(
         ".heic",
@@ -80,8 +94,12 @@ class Clip:
         The file of each frame; for a video the same file n times.
     video_indices : tuple of n int, or None
         The number of each frame in the video. None for images.
+    times_s : tuple of n floats, or None
+        The time of each frame of a video from its first, s, in rising order; None if it is unknown.
     notes : tuple of str
-        Pictures that were passed over, and others of which only a part is used.
+        Pictures that were passed over, others of which only a part is used, and changes that reading makes.
+    is_deinterlaced : bool
+        Whether the two fields of interlaced frames are made into whole frames.
     """
 
     name: str
@@ -90,7 +108,9 @@ class Clip:
     sidecar: Sidecar
     paths: tuple[Path, ...]
     video_indices: tuple[int, ...] | None = None
+    times_s: tuple[float, ...] | None = None
     notes: tuple[str, ...] = ()
+    is_deinterlaced: bool = False
 
     def __len__(self) -> int:
         return len(self.frame_names)
@@ -116,17 +136,21 @@ class Clip:
         elif places:
             from morphspace.io.video import read_frames  # loads libav, which stills do not need
 
-            yield from read_frames(self.paths[0], [self.video_indices[place] for place in places])
+            indices = [self.video_indices[place] for place in places]
+            yield from read_frames(self.paths[0], indices, deinterlace=self.is_deinterlaced)
 
     def digests(self) -> tuple[str, ...]:
         """Return one SHA-256 per frame: of the file, or for a video of the file's digest and the frame number."""
         if self.video_indices is None:
             return tuple(map(digest_of_file, self.paths))
-        whole = digest_of_file(self.paths[0])
+        whole = digest_of_file(self.paths[0]) + (" deinterlaced" if self.is_deinterlaced else "")
         return tuple(digest_of_bytes(f"{whole} {index}".encode()) for index in self.video_indices)
 
     def subset(self, indices: Sequence[int]) -> Clip:
-        """Return the clip of these frames, in this order. Raises `BadInput` if they are none or not unique."""
+        """Return the clip of these frames, in this order; selected frames are a list, whose times are dropped.
+
+        Raises `BadInput` if they are none or not unique.
+        """
         places = self._places(indices)
         if not places or len(set(places)) < len(places):
             raise BadInput(
@@ -140,6 +164,7 @@ class Clip:
             video_indices=None
             if self.video_indices is None
             else tuple(self.video_indices[p] for p in places),
+            times_s=self.times_s if places == list(range(len(self))) else None,
         )
 
     def _places(self, indices: Sequence[int]) -> list[int]:
@@ -167,7 +192,7 @@ def natural_key(name: str) -> tuple[tuple[tuple[int, int, str], ...], str]:
     ), name
 
 
-def open_clip(sources: Sequence[str | Path]) -> Clip:
+def open_clip(sources: Sequence[str | Path], *, deinterlace: bool = False) -> Clip:
     """Open one folder, one glob pattern, one video or several image files as a clip, in natural order of names.
 
     Parameters
@@ -176,6 +201,8 @@ def open_clip(sources: Sequence[str | Path]) -> Clip:
         A folder gives its images, or those of its folder `frames`; hidden files and other file types are ignored.
         Pictures of types that are not read are counted in `notes`. Files from several folders are prefixed with the
         folder's name if their names clash.
+    deinterlace : bool
+        Whether the fields of an interlaced video are made into whole frames; its sidecar can ask for it too.
 
     Returns
     -------
@@ -187,7 +214,7 @@ def open_clip(sources: Sequence[str | Path]) -> Clip:
     ------
     BadInput
         If there are no images, no file matches, a file is repeated, videos are mixed with other files, or a file
-        name cannot be used.
+        name cannot be used; if a video is interlaced, or its frame rate is outside the limits.
     SizeMismatch
         If the frames differ in size; the message lists the sizes.
     UnreadableFile
@@ -218,7 +245,7 @@ def open_clip(sources: Sequence[str | Path]) -> Clip:
                 f"the clip has {len(found)} files, one of them the video {videos[0]}; expected one video or several "
                 "images. Select one"
             )
-        return _clip_of_video(found[0])
+        return _clip_of_video(found[0], deinterlace)
     return _clip_of_files(found, None, over)
 
 
@@ -327,20 +354,48 @@ def _notes_on(paths: Sequence[Path], over: Sequence[Path]) -> tuple[str, ...]:
     return tuple(notes)
 
 
-def _clip_of_video(path: Path) -> Clip:
+def _clip_of_video(path: Path, deinterlace: bool) -> Clip:
     from morphspace.io.video import video_info  # loads libav, which stills do not need
 
     check_frame_name(path)
     info = video_info(path)
     beside = path.with_suffix("." + SIDECAR_NAME)
     sidecar = read_sidecar(beside) if beside.is_file() else Sidecar()
-    if sidecar.frame_rate_hz is None and info.frame_rate_hz > 0:
+    deinterlace = deinterlace or bool(sidecar.deinterlace)
+    if info.interlaced and not deinterlace:
+        raise BadInput(
+            f"{path} is interlaced ({info.interlaced} of {info.frame_count} frames); expected whole frames. "
+            f'Write "deinterlace": true into {beside.name}, or give --deinterlace to a verb that has it'
+        )
+    times_s = info.times_s
+    if sidecar.frame_rate_hz is None and info.frame_rate_hz:
+        if not LEAST_RATE_HZ <= info.frame_rate_hz <= MOST_RATE_HZ:
+            raise BadInput(
+                f"the frame rate of {path} is {info.frame_rate_hz:g} Hz; expected {LEAST_RATE_HZ:g} to "
+                f"{MOST_RATE_HZ:g}. Write the true frame_rate_hz into {beside.name}"
+            )
         sidecar = replace(sidecar, frame_rate_hz=info.frame_rate_hz)
+    elif sidecar.frame_rate_hz and info.frame_rate_hz and times_s:
+        times_s = tuple(time * info.frame_rate_hz / sidecar.frame_rate_hz for time in times_s)
+    notes = info.notes
+    if info.interlaced:
+        notes += (f"{path.name} is interlaced: its frames were deinterlaced with FFmpeg's bwdif",)
     digits = max(6, len(str(info.frame_count)))
     stem = composed(path.stem)
     names = tuple(f"{stem}_{index:0{digits}d}" for index in range(info.frame_count))
     indices = tuple(range(info.frame_count))
-    return Clip(stem, names, info.size, sidecar, (path,) * info.frame_count, indices)
+    paths = (path,) * info.frame_count
+    return Clip(
+        stem,
+        names,
+        info.size,
+        sidecar,
+        paths,
+        indices,
+        times_s,
+        notes,
+        is_deinterlaced=bool(info.interlaced),
+    )
 
 
 def _name_of(folder: Path) -> str:

@@ -53,6 +53,7 @@ TIFF_MODELS = (
 PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"
 AVIF_SPACES = {1: "", 2: "", 5: "", 6: "", 12: "srgb_p3d65_scene"}  # by primaries (ISO 23091-2)
 JPEG_QUALITY = 95  # of 100; at 4:4:4 errors stay near one 8-bit code
+TRANSPOSED = (5, 6, 7, 8)  # EXIF orientations that exchange width and height
 LONGEST_NAME = 200  # bytes; file systems allow 255, including the suffix of a temporary file
 RANGES = {  # sRGB-coded; what is beyond was saved with another white, or as -1 to 1
     True: (-3.0, 7.0),  # EXR: renderings keep colours far out, and 7 is 95 times white in linear light
@@ -81,7 +82,7 @@ def image_size(path: str | Path) -> tuple[int, int]:
         spec = source.spec()
         source.close()
         size = (int(spec.width), int(spec.height))
-        return (size[1], size[0]) if spec.get_int_attribute("Orientation", 1) >= 5 else size
+        return (size[1], size[0]) if spec.get_int_attribute("Orientation", 1) in TRANSPOSED else size
 
 
 def read_image(path: str | Path, *, background: Sequence[float] | None = None) -> Image:
@@ -502,7 +503,7 @@ def _unit_values(path: Path, stored: AnyArray) -> AnyArray:
 
 def _upright(values: AnyArray, orientation: int) -> AnyArray:
     """Apply the EXIF orientation tag (1 to 8) to (h, w, c) values."""
-    if orientation in (5, 6, 7, 8):
+    if orientation in TRANSPOSED:
         values = values.transpose(1, 0, 2)
     if orientation in (3, 4, 7, 8):
         values = values[::-1]

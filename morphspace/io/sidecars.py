@@ -44,6 +44,7 @@ class ClipDocument(TypedDict, total=False):
 
     identity: Annotated[OrNull[Line], Help("The person shown.")]
     frame_rate_hz: OrNull[FrameRate]
+    deinterlace: OrNull[bool]
     consent: Annotated[OrNull[str], Help("What the person agreed to.")]
     licence: Annotated[OrNull[str], Help("Terms of use of the pictures.")]
     faceframe: Annotated[OrNull[FaceframeEntry], Open()]
@@ -176,6 +177,7 @@ class Sidecar:
     licence: str | None = None
     faceframe: MarkedFaceframe | None = None
     extra: Mapping[str, Any] = field(default_factory=dict)
+    deinterlace: bool | None = None
 
 
 def read_sidecar(path: str | Path) -> Sidecar:

@@ -18,7 +18,7 @@ from typing import Annotated, Any, Literal, NotRequired, TypedDict
 import numpy as np
 from annotated_types import Ge
 
-from morphspace.arrays import LoadingTable
+from morphspace.arrays import AnyArray, LoadingTable
 from morphspace.documents import Digest, Document, FrameRate, Open, OrNull
 from morphspace.errors import BadInput, UnreadableFile
 from morphspace.io.names import FORMULA, composed
@@ -33,6 +33,7 @@ from morphspace.storage import (
 )
 
 FRAME_COLUMN = "frame"
+TIME_COLUMN = "time_s"
 COMPONENT_COLUMN = re.compile(r"pc([0-9]{3,})_sd")
 TEXT_COLUMNS = ("frame", "clip", "identity", "name")  # never read as numbers: 0001 may name a frame
 
@@ -74,22 +75,33 @@ class LoadingsTable:
         The JSON file beside the table (model, identity, origin). Without it the model of the loadings is unknown.
     notes : tuple of str
         That the table was changed after it was written, if it was.
+    times_s : array (n,) s, or None
+        The time of each frame, rising, if the table has it.
     """
 
     frame_names: tuple[str, ...]
     loadings_sd: LoadingTable
     document: LoadingsDocument | None
     notes: tuple[str, ...] = ()
+    times_s: AnyArray | None = None
 
     @property
     def rate_hz(self) -> float | None:
-        """Return the frames a second, or None if the rows are no motion."""
+        """Return the frames a second in the sidecar, or else those of the times; None if there is neither."""
         rate_hz = self.document and self.document.get("frame_rate_hz")
-        return float(rate_hz) if rate_hz else None
+        if rate_hz:
+            return float(rate_hz)
+        if self.times_s is None or len(self.times_s) < 2:
+            return None
+        return float((len(self.times_s) - 1) / (self.times_s[-1] - self.times_s[0]))
 
 
 def write_loadings_table(
-    path: str | Path, loadings_sd: LoadingTable, frame_names: Sequence[str], document: Mapping[str, Any]
+    path: str | Path,
+    loadings_sd: LoadingTable,
+    frame_names: Sequence[str],
+    document: Mapping[str, Any],
+    times_s: Sequence[float] | None = None,
 ) -> None:
     """Write loadings as CSV and their description as JSON beside it, both completely or not at all.
 
@@ -102,12 +114,14 @@ def write_loadings_table(
     document : mapping
         `format`, `version`, `unit`, `frame_count`, `component_count` and the digest of the table are added; a
         `frame_rate_hz` of None is left out.
+    times_s : n floats, s, or None
+        The time of each frame, rising; written as a column.
 
     Raises
     ------
     BadInput
-        If the suffix is another, shapes disagree, a name is repeated or begins as a formula, or a value is not
-        finite.
+        If the suffix is another, shapes disagree, a name is repeated or begins as a formula, a value is not
+        finite, or the times do not rise.
     UnwritableFile
         If the folder or disk refuses a file.
     """
@@ -130,7 +144,11 @@ def write_loadings_table(
             f"cannot write {path}: {_heading(column)} of frame {names[row]} is {loadings[row, column]}; expected a "
             "finite number. Correct it"
         )
-    headings = [FRAME_COLUMN, *map(_heading, range(loadings.shape[1]))]
+    times = () if times_s is None else (TIME_COLUMN,)
+    headings = [FRAME_COLUMN, *times, *map(_heading, range(loadings.shape[1]))]
+    if times_s is not None:
+        _check_times(path, names, times_s)
+        loadings = np.column_stack([np.asarray(times_s, np.float64), loadings])
     rows = [[name, *map(repr, row)] for name, row in zip(names, loadings.tolist(), strict=True)]
     text = _csv_text(headings, rows)
     ours: LoadingsDocument = {
@@ -138,7 +156,7 @@ def write_loadings_table(
         "version": 1,
         "unit": "sd",
         "frame_count": loadings.shape[0],
-        "component_count": loadings.shape[1],
+        "component_count": loadings.shape[1] - len(times),
         "table_sha256": digest_of_bytes(text.encode()),
     }
     given = {key: value for key, value in document.items() if key != "frame_rate_hz" or value is not None}
@@ -157,7 +175,8 @@ def read_loadings_table(path: str | Path) -> LoadingsTable:
     """
     path = _csv_path(path)
     table = read_table(path)
-    components = _check_headings(path, table.headings)
+    has_times = list(table.headings[1:2]) == [TIME_COLUMN]
+    components = _check_headings(path, [table.headings[0], *table.headings[1 + has_times :]])
     names = [composed(row[0]) for row in table.rows]
     _check_names(path, names)
     values = [
@@ -167,8 +186,11 @@ def read_loadings_table(path: str | Path) -> LoadingsTable:
         ]
         for line, row in zip(table.lines, table.rows, strict=True)
     ]
-    loadings = np.array(values, np.float64).reshape(len(names), components)
-    loadings.setflags(write=False)
+    numbers = np.array(values, np.float64).reshape(len(names), has_times + components)
+    numbers.setflags(write=False)
+    loadings, times_s = numbers[:, has_times:], numbers[:, 0] if has_times else None
+    if times_s is not None:
+        _check_times(path, names, times_s)
     beside = path.with_suffix(".json")
     document = LOADINGS.read(beside) if beside.exists() else None
     if document is not None and document.get("component_count", components) < components:
@@ -177,7 +199,7 @@ def read_loadings_table(path: str | Path) -> LoadingsTable:
             "Use files that belong together"
         )
     notes = () if document is None else _change_notes(path, beside, document)
-    return LoadingsTable(tuple(names), loadings, document, notes)
+    return LoadingsTable(tuple(names), loadings, document, notes, times_s)
 
 
 def _change_notes(path: Path, beside: Path, document: LoadingsDocument) -> tuple[str, ...]:
@@ -311,6 +333,21 @@ def _check_names(path: Path, names: Sequence[str]) -> None:
         if name in seen:
             raise BadInput(f"{path}: frame {name!r} is repeated; expected unique names. Rename it")
         seen.add(name)
+
+
+def _check_times(path: Path, names: Sequence[str], times_s: Sequence[float] | AnyArray) -> None:
+    """Check that there is a time for each frame, and that times rise."""
+    if len(times_s) != len(names):
+        raise BadInput(
+            f"cannot write {path}: there are {len(times_s)} times; expected {len(names)}. Supply one per frame"
+        )
+    fixed = np.flatnonzero(np.diff(times_s) <= 0)
+    if len(fixed):
+        row = int(fixed[0]) + 1
+        raise BadInput(
+            f"{path}: {TIME_COLUMN} of frame {names[row]} is {times_s[row]:g}; expected more than the "
+            f"{times_s[row - 1]:g} before. Order the rows by time, or remove the column if they are no recording"
+        )
 
 
 def _number(path: Path, line: int, heading: str, cell: str) -> float:

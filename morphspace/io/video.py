@@ -2,17 +2,19 @@
 
 Seeking reaches the wrong frame in many files, and the frame count in a header is an estimate. Frames are therefore
 decoded from the start and counted. Colour conversion follows the flags of the file (BT.601, BT.709, BT.2020; limited
-or full range). A file without a matrix flag is taken as BT.709 from 720 lines on, as BT.601 below.
+or full range). A file without a matrix flag is taken as BT.709 from 720 lines on, as BT.601 below. The display matrix
+and the pixel aspect of the file are applied. `docs/inputs.md` lists what is read and what is refused.
 """
 
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+import statistics
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 from pathlib import Path
-from typing import Any, BinaryIO, Literal
+from typing import Any, Literal
 
 import av
 import numpy as np
@@ -21,6 +23,8 @@ from av.video.reformatter import Interpolation
 from morphspace.arrays import Image
 from morphspace.errors import BadInput, SizeMismatch, UnreadableFile, UnwritableFile
 from morphspace.io.colour import check_image, codes_of
+from morphspace.io.damage import check_whole, is_whole_ffv1
+from morphspace.requests import check_rate
 from morphspace.storage import whole_file
 
 Encoding = Literal["people", "lossless"]
@@ -33,9 +37,24 @@ RATE_DENOMINATOR = 1001  # represents 30000/1001 and other NTSC rates exactly
 HD_HEIGHT = 720  # px; players take unflagged video of this height or more as BT.709
 BT601, BT709, BT2020, MPEG_RANGE = 5, 1, 9, 1  # code points of ITU-T H.273 in libav
 MATRICES = {1: BT709, 4: 4, 5: BT601, 6: BT601, 7: 7, 9: BT2020, 10: BT2020}  # flag -> matrix of swscale
-EBML_HEADER, SEGMENT = 0x1A45DFA3, 0x18538067  # Matroska element identifiers (RFC 8794, RFC 9559)
-MP4_FIRST_BOXES = (b"ftyp", b"moov", b"mdat", b"free", b"skip", b"wide")
 HDR_CURVES = {16: "PQ", 18: "HLG"}
+SQUARE_TOL = 0.005  # relative; a face squeezed by less is not seen, and its pixels stay exact
+MOST_ASPECT = 4  # width of a pixel over its height, or the inverse; broadcast and anamorphic film need 2
+QUARTER_TURNS = ((1, 0, 0, 1), (0, -1, 1, 0), (-1, 0, 0, -1), (0, 1, -1, 0))  # counter-clockwise
+AXIS_TOL = 0.01  # relative; rounding of a quarter turn in a display matrix
+HEADER_TOL = (
+    0.75  # frames; times in whole ticks of a clock are off by up to one tick, a lost frame by a whole one
+)
+FITTED_TOL = 0.25  # frames; likewise, but a mean rate hides half of a lost frame
+NOMINAL_TOL = 0.02  # relative; the usual step of a recording with lost frames is that of its header
+BWDIF = "mode=send_frame:deint=interlaced"  # one frame out for each frame in; whole frames stay as they are
+STORED = {
+    (False, False): "rgb24",
+    (False, True): "rgb48le",
+    (True, False): "rgba",
+    (True, True): "rgba64le",
+}  # by alpha and by more than 8 bits
+ALPHA_DECODERS = {"vp8": "libvpx", "vp9": "libvpx-vp9"}  # libav's own decoders drop the alpha of WebM
 PRECISE = (
     Interpolation.BICUBIC
     | Interpolation.ACCURATE_RND
@@ -52,30 +71,53 @@ class VideoInfo:
     Attributes
     ----------
     frame_count : int, counted by decoding
-    frame_rate_hz : float, the mean rate
-    size : (width, height) px, upright
+    frame_rate_hz : float or None
+        The rate of the header if the frames' times agree with it, else that of the times; None for a lone frame.
+    size : (width, height) px, upright and with square pixels
+    times_s : tuple of floats, or None
+        The time of each frame from the first, s; None if the file has none, or they do not rise.
+    interlaced : int
+        The number of frames that hold two fields.
+    notes : tuple of str
+        Changes that reading makes to the frames.
     """
 
     frame_count: int
-    frame_rate_hz: float
+    frame_rate_hz: float | None
     size: tuple[int, int]
+    times_s: tuple[float, ...] | None = None
+    interlaced: int = 0
+    notes: tuple[str, ...] = ()
 
 
 def video_info(path: str | Path) -> VideoInfo:
-    """Decode a video once and return its size, rate and frame count. Raises `UnreadableFile`."""
+    """Decode a video once and return its size, times, rate and frame count. Raises `UnreadableFile`."""
     path = Path(path)
-    count, rate_hz, size = 0, 0.0, (0, 0)
-    for frame, stream_rate_hz in _decoded(path):
-        if count == 0:
-            rate_hz, size = stream_rate_hz, _upright_size(frame)
-        count += 1
-    return VideoInfo(count, rate_hz, size)
+    ticks: list[int | None] = []
+    interlaced, track = 0, _Track(None, Fraction(1), Fraction(1))
+    size = coded = (0, 0)
+    for frame, track in _decoded(path):
+        if not ticks:
+            coded = (frame.width, frame.height)
+            size = _upright_size(path, frame, track.aspect)
+        ticks.append(frame.pts)
+        interlaced += frame.interlaced_frame
+    rate, times_s = _clock(ticks, track.tick_s, track.rate)
+    notes: tuple[str, ...] = ()
+    if _square_size(coded, track.aspect) != coded:
+        notes = (
+            f"{path.name} has pixels of aspect {track.aspect.numerator}:{track.aspect.denominator}: its frames of "
+            f"{coded[0]}x{coded[1]} are resampled to square pixels, {size[0]}x{size[1]} upright",
+        )
+    return VideoInfo(len(ticks), None if rate is None else float(rate), size, times_s, interlaced, notes)
 
 
-def read_frames(path: str | Path, indices: Sequence[int] | None = None) -> Iterator[Image]:
+def read_frames(
+    path: str | Path, indices: Sequence[int] | None = None, *, deinterlace: bool = False
+) -> Iterator[Image]:
     """Yield frames as (h, w, 3) float32, sRGB-coded in [0, 1], one at a time.
 
-    The rotation that phones store is applied. More than 8 bits per channel are kept.
+    The turns and flips that phones store are applied, and pixels become square. More than 8 bits per channel are kept.
 
     Parameters
     ----------
@@ -83,25 +125,27 @@ def read_frames(path: str | Path, indices: Sequence[int] | None = None) -> Itera
     indices : sequence of int, from 0, or None for all frames
         The order is kept and repetitions are allowed; where an index decreases, the video is decoded again from its
         start.
+    deinterlace : bool
+        Whether FFmpeg's `bwdif` makes one whole frame of the two fields of each interlaced frame.
 
     Raises
     ------
     UnreadableFile
         If the file is missing or damaged.
     BadInput
-        If an index is beyond the end, or the video is HDR.
+        If an index is beyond the end, the video is HDR, or a pixel is transparent.
     SizeMismatch
         If frames differ in size.
     """
     path = Path(path)
     if indices is None:
-        yield from (image for _, image in _images(path, None))
+        yield from (image for _, image in _images(path, None, deinterlace))
         return
     wanted = [int(index) for index in indices]
     if any(index < 0 for index in wanted):
         raise BadInput(f"{path}: the frame is {min(wanted)}; expected 0 or more. Count frames from 0")
     for run in _rising_runs(wanted):
-        yield from _images_of_run(path, run)
+        yield from _images_of_run(path, run, deinterlace)
 
 
 def write_video(
@@ -148,8 +192,7 @@ def write_video(
         raise BadInput(
             f"cannot write {path} as {encoding} video; expected the suffix {', '.join(suffixes)}. Rename it"
         )
-    if not 0 < frame_rate_hz <= 1000:
-        raise BadInput(f"the frame rate is {frame_rate_hz} Hz; expected above 0 and at most 1000. Change it")
+    check_rate(frame_rate_hz, f"the frame rate of {path}")
     pending = iter(frames)
     first = next(pending, None)
     if first is None:
@@ -178,9 +221,18 @@ def video_texts(path: str | Path) -> dict[str, str]:
         ) from error
 
 
-def _decoded(path: Path) -> Iterator[tuple[Any, float]]:
-    """Yield each decoded frame with the stream's mean rate. Raise `UnreadableFile` for any damage."""
-    _check_whole(path)
+@dataclass(frozen=True)
+class _Track:
+    """What the file says of a video track: its rate, the aspect of its pixels, and the tick of its clock, s."""
+
+    rate: Fraction | None
+    aspect: Fraction
+    tick_s: Fraction
+
+
+def _decoded(path: Path, deinterlace: bool = False) -> Iterator[tuple[Any, _Track]]:
+    """Yield each decoded frame with its track. Raise `UnreadableFile` for any damage."""
+    check_whole(path)
     count = 0
     try:
         with av.open(str(path)) as container:
@@ -189,13 +241,16 @@ def _decoded(path: Path) -> Iterator[tuple[Any, float]]:
                     f"{path} has no video track; expected one. Use another video or a folder of images"
                 )
             stream = container.streams.video[0]
-            stream.thread_type = "AUTO"
-            stream.codec_context.options = {"err_detect": "explode"}
-            rate = stream.average_rate or stream.guessed_rate or 0
-            for frame in container.decode(stream):
+            track = _Track(
+                stream.average_rate or stream.guessed_rate,
+                stream.sample_aspect_ratio or Fraction(1),
+                Fraction(stream.time_base or 1),
+            )
+            frames = _frames_of(path, container, stream)
+            for frame in _deinterlaced(frames, stream) if deinterlace else frames:
                 if frame.is_corrupt:
                     raise UnreadableFile(f"{path} is damaged at frame {count}. Copy it again")
-                yield frame, float(rate)
+                yield frame, track
                 count += 1
     except (av.FFmpegError, OSError) as error:
         reason = error.strerror or "no reason given"
@@ -206,79 +261,65 @@ def _decoded(path: Path) -> Iterator[tuple[Any, float]]:
         raise UnreadableFile(f"{path} holds no frames; expected at least one. Copy it again")
 
 
-def _check_whole(path: Path) -> None:
-    """Raise `UnreadableFile` if a file is empty, or shorter than the sum of the lengths that its parts declare.
+def _frames_of(path: Path, container: Any, stream: Any) -> Iterator[Any]:
+    """Decode the packets of a stream; libav checks the checksums of HEVC and PNG, and this function those of FFV1."""
+    context = stream.codec_context
+    with_alpha = ALPHA_DECODERS.get(context.name) if stream.metadata.get("alpha_mode") == "1" else None
+    if with_alpha is not None:
+        context = av.CodecContext.create(with_alpha, "r")
+    context.thread_type = "AUTO"
+    context.options = {"err_detect": "crccheck+explode"}
+    has_checksums = stream.codec_context.name == "ffv1" and bool(stream.codec_context.extradata)
+    for count, packet in enumerate(container.demux(stream)):
+        if packet.is_corrupt or (packet.size and has_checksums and not is_whole_ffv1(bytes(packet))):
+            raise UnreadableFile(f"{path} is damaged at frame {count}. Copy it again")
+        if packet.size:  # an empty packet is a lost frame of an AVI
+            yield from context.decode(packet)
+    yield from context.decode(None)
 
-    libav reports no error for a truncated Matroska or WebM file, nor for an AVI or an MP4 with leading index
-    truncated between two frames. The clip would lose its last expressions. An MPEG stream declares no length.
+
+def _deinterlaced(frames: Iterator[Any], stream: Any) -> Iterator[Any]:
+    """Pass frames through FFmpeg's `bwdif`, which makes a whole frame of the first field and its neighbours."""
+    graph = av.filter.Graph()
+    graph.link_nodes(
+        graph.add_buffer(template=stream), graph.add("bwdif", BWDIF), graph.add("buffersink")
+    ).configure()
+    for frame in itertools.chain(frames, [None]):
+        graph.push(frame)
+        while True:
+            try:
+                yield graph.pull()
+            except (av.BlockingIOError, av.EOFError):
+                break
+
+
+def _clock(
+    ticks: Sequence[int | None], tick_s: Fraction, header: Fraction | None
+) -> tuple[Fraction | None, tuple[float, ...] | None]:
+    """Return the frame rate, Hz, and the time of each frame from the first, s, or None if times are missing.
+
+    Times that agree with an even rate within the tick of their clock are those of that rate: Matroska rounds to
+    milliseconds. A header may be a guess: 1000 Hz for a browser's recording, 60,000 Hz for a raw DV stream.
     """
-    try:
-        size = path.stat().st_size
-        with path.open("rb") as file:
-            head = file.read(12)
-            file.seek(0)
-            needed = size
-            if head[:4] == EBML_HEADER.to_bytes(4, "big"):
-                needed = _matroska_end(file)
-            elif head[4:8] in MP4_FIRST_BOXES:
-                needed = _parts_end(file, size, _box_bytes)
-            elif head[:4] == b"RIFF":
-                needed = _parts_end(file, size, _riff_bytes)
-    except OSError as error:
-        raise UnreadableFile(
-            f"cannot read {path}: {error.strerror}. Check the name and the permissions"
-        ) from error
-    if size == 0:
-        raise UnreadableFile(f"{path} is empty (0 bytes). Copy it again")
-    if needed > size:
-        raise UnreadableFile(f"{path} is cut short: it has {size} bytes; expected {needed}. Copy it again")
+    known = [tick for tick in ticks if tick is not None]
+    if len(known) < max(len(ticks), 2) or any(late <= early for early, late in itertools.pairwise(known)):
+        return header, None
+    times = [(tick - known[0]) * tick_s for tick in known]
+    mean = (len(times) - 1) / times[-1]
+    for rate, tolerance in ((header, HEADER_TOL), (mean, FITTED_TOL)):
+        if rate:
+            even = [index / rate for index in range(len(times))]
+            allowed = min(tick_s, Fraction(tolerance) / rate)
+            if max(abs(time - wanted) for time, wanted in zip(times, even, strict=True)) <= allowed:
+                return rate, tuple(map(float, even))
+    usual = statistics.median(late - early for early, late in itertools.pairwise(times))
+    is_nominal = header is not None and abs(header * usual - 1) <= NOMINAL_TOL
+    return header if is_nominal else mean, tuple(map(float, times))
 
 
-def _parts_end(file: BinaryIO, size: int, bytes_of: Callable[[bytes], int]) -> int:
-    """Return where the last part at the top level ends; `bytes_of` reads the length of a part from its first bytes."""
-    place = 0
-    while place + 8 <= size:
-        file.seek(place)
-        length = bytes_of(file.read(16))
-        if length < 8:  # the part extends to the end of the file, or is padding
-            return size
-        place += length
-    return place
-
-
-def _box_bytes(head: bytes) -> int:
-    length = int.from_bytes(head[:4], "big")
-    return int.from_bytes(head[8:16], "big") if length == 1 else length
-
-
-def _riff_bytes(head: bytes) -> int:
-    return 8 + int.from_bytes(head[4:8], "little") if head[:4] == b"RIFF" else 0
-
-
-def _matroska_end(file: BinaryIO) -> int:
-    """Return where the segment ends; 0 for a live recording, whose length is unknown."""
-    _read_number(file)
-    _, header_length, _ = _read_number(file)
-    file.seek(header_length, 1)
-    kind, _, _ = _read_number(file)
-    _, length, width = _read_number(file)
-    is_unknown = length == (1 << 7 * width) - 1
-    return 0 if kind != SEGMENT or is_unknown else file.tell() + length
-
-
-def _read_number(file: BinaryIO) -> tuple[int, int, int]:
-    """Read an EBML number: with its width marker (an identifier), without it (a length), and its width in bytes."""
-    first = file.read(1)
-    if not first or first[0] == 0:
-        return 0, 0, 0
-    width = 9 - first[0].bit_length()  # the leading zeros of the first byte give the number of bytes
-    number = int.from_bytes(first + file.read(width - 1), "big")
-    return number, number & ((1 << 7 * width) - 1), width
-
-
-def _images(path: Path, wanted: frozenset[int] | None) -> Iterator[tuple[int, Image]]:
+def _images(path: Path, wanted: frozenset[int] | None, deinterlace: bool) -> Iterator[tuple[int, Image]]:
     size = None
-    for index, (frame, _) in enumerate(_decoded(path)):
+    for index, (frame, track) in enumerate(_decoded(path, deinterlace)):
         size = size or (frame.width, frame.height)
         if (frame.width, frame.height) != size:
             raise SizeMismatch(
@@ -286,13 +327,13 @@ def _images(path: Path, wanted: frozenset[int] | None) -> Iterator[tuple[int, Im
                 "frame 0. Convert the video to one size"
             )
         if wanted is None or index in wanted:
-            yield index, _image_of(path, frame)
+            yield index, _image_of(path, frame, track.aspect)
 
 
-def _images_of_run(path: Path, run: Sequence[int]) -> Iterator[Image]:
+def _images_of_run(path: Path, run: Sequence[int], deinterlace: bool) -> Iterator[Image]:
     """Yield the frames of a run of non-decreasing indices in one pass."""
     place = 0
-    for index, image in _images(path, frozenset(run)):
+    for index, image in _images(path, frozenset(run), deinterlace):
         while place < len(run) and run[place] == index:
             yield image
             place += 1
@@ -314,34 +355,87 @@ def _rising_runs(indices: Sequence[int]) -> Iterator[list[int]]:
         yield run
 
 
-def _image_of(path: Path, frame: Any) -> Image:
-    """Convert one decoded frame by its own matrix and range flags."""
+def _image_of(path: Path, frame: Any, aspect: Fraction) -> Image:
+    """Convert one decoded frame by its own matrix and range flags, to square pixels, upright."""
     if frame.color_trc in HDR_CURVES:
         raise BadInput(
             f"{path} is HDR video ({HDR_CURVES[frame.color_trc]}); expected standard dynamic range. "
             "Export it as Rec. 709"
         )
+    has_alpha = any(component.is_alpha for component in frame.format.components)
     is_deep = max(component.bits for component in frame.format.components) > 8
     matrix = MATRICES.get(frame.colorspace, BT709 if frame.height >= HD_HEIGHT else BT601)
+    width, height = _square_size((frame.width, frame.height), aspect)
     codes = frame.to_ndarray(
-        format="rgb48le" if is_deep else "rgb24",
+        width=width,
+        height=height,
+        format=STORED[has_alpha, is_deep],
         src_colorspace=None if frame.format.is_rgb else matrix,
         src_color_range=frame.color_range or None,
         interpolation=PRECISE,
         threads=1,
     )
-    image = codes.astype(np.float32) / np.float32(65535 if is_deep else 255)
-    return np.ascontiguousarray(np.rot90(image, _quarter_turns(frame)))
+    white = 65535 if is_deep else 255
+    if has_alpha:
+        least = int(codes[..., 3].min())
+        if least < white:
+            raise BadInput(
+                f"{path} has an alpha channel that is not opaque (minimum {least / white:.3g}; expected 1). "
+                "Export it without transparency"
+            )
+        codes = codes[..., :3]
+    return _upright(path, codes.astype(np.float32) / np.float32(white), frame)
 
 
-def _quarter_turns(frame: Any) -> int:
-    """Return the number of counter-clockwise quarter turns to the upright image, from the display matrix."""
-    return int(round(frame.rotation / 90) % 4)
+def _square_size(size: tuple[int, int], aspect: Fraction) -> tuple[int, int]:
+    """Return the size (width, height) px in square pixels; the short side of a pixel is enlarged, none is reduced."""
+    if abs(aspect - 1) <= SQUARE_TOL:
+        return size
+    width, height = size
+    return (round(width * aspect), height) if aspect > 1 else (width, round(height / aspect))
 
 
-def _upright_size(frame: Any) -> tuple[int, int]:
-    size = (int(frame.width), int(frame.height))
-    return (size[1], size[0]) if _quarter_turns(frame) % 2 else size
+def _upright(path: Path, image: Image, frame: Any) -> Image:
+    """Apply the display matrix: x' = a x + c y and y' = b x + d y, up to a shift; a and d are 0 for quarter turns."""
+    a, b, c, d = _display_signs(path, frame)
+    if a == 0:
+        image = image.transpose(1, 0, 2)
+    if a + c < 0:
+        image = image[:, ::-1]
+    if b + d < 0:
+        image = image[::-1]
+    return np.ascontiguousarray(image)
+
+
+def _display_signs(path: Path, frame: Any) -> tuple[int, int, int, int]:
+    """Return the signs of a, b, c and d of the display matrix (ISO 14496-12, 6.2.2; FFmpeg's display.h)."""
+    try:
+        found = next((data for data in frame.side_data if data.type.name == "DISPLAYMATRIX"), None)
+    except ValueError:  # PyAV does not know all kinds of FFmpeg, such as Exif; it still knows the turn
+        return QUARTER_TURNS[round(frame.rotation / 90) % 4]
+    if found is None:
+        return QUARTER_TURNS[0]
+    matrix = np.frombuffer(bytes(found), np.int32)[[0, 1, 3, 4]].astype(np.float64)
+    signs = (
+        np.where(np.abs(matrix) <= AXIS_TOL * np.abs(matrix).max(), 0, np.sign(matrix)).astype(int).tolist()
+    )
+    a, b, c, d = signs
+    if not ((a and d and not b and not c) or (b and c and not a and not d)):
+        raise BadInput(
+            f"{path} is turned by {np.degrees(np.arctan2(matrix[1], matrix[0])):.3g} degrees; expected quarter turns "
+            "and flips. Turn it upright and export it again"
+        )
+    return a, b, c, d
+
+
+def _upright_size(path: Path, frame: Any, aspect: Fraction) -> tuple[int, int]:
+    if not 1 / MOST_ASPECT <= aspect <= MOST_ASPECT:
+        raise BadInput(
+            f"{path} has pixels of aspect {aspect.numerator}:{aspect.denominator}; expected 1:{MOST_ASPECT} to "
+            f"{MOST_ASPECT}:1. Convert it to square pixels"
+        )
+    width, height = _square_size((int(frame.width), int(frame.height)), aspect)
+    return (width, height) if _display_signs(path, frame)[0] else (height, width)
 
 
 def _encode(

@@ -66,7 +66,11 @@ class EncodedFrame:
 
 
 def framed_for(
-    model: MorphModel, sources: tuple[str, ...], crop: tuple[int, int, int, int] | None
+    model: MorphModel,
+    sources: tuple[str, ...],
+    crop: tuple[int, int, int, int] | None,
+    *,
+    deinterlace: bool = False,
 ) -> FramedClip:
     """Open a clip for a model: scaled to its frame size, and cropped like the build's frames if their size is equal.
 
@@ -76,13 +80,15 @@ def framed_for(
     sources : tuple of str
         Files or folders of the clip.
     crop : (x, y, w, h) px, optional
+    deinterlace : bool
+        As in `open_clip`.
 
     Raises
     ------
     BadInput
         If the pictures are too small for a face to be measured.
     """
-    clip = open_clip(sources)
+    clip = open_clip(sources, deinterlace=deinterlace)
     built = model.provenance["framing"]
     if crop is None and list(clip.size) == built["source_size"] and built["crop"] is not None:
         x, y, w, h = built["crop"]

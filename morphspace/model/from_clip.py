@@ -17,6 +17,7 @@ from morphspace.flow import methods
 from morphspace.flow.starts import StartKind
 from morphspace.grid.warp import apply_affine, inverse_affine
 from morphspace.io.clips import Clip
+from morphspace.io.clock import is_even, uneven_words
 from morphspace.io.framing import FramedClip, Framing
 from morphspace.io.images import read_mask
 from morphspace.io.names import composed
@@ -119,6 +120,10 @@ def build_clip(clip: Clip, asked: ClipSettings, work_folder: Path) -> Steps[tupl
     """
     detector, missing = detector_for(asked.landmarks)
     notes = [*clip.notes, *missing]
+    rate_hz = clip.sidecar.frame_rate_hz
+    if clip.times_s is not None and rate_hz is not None and not is_even(clip.times_s, rate_hz):
+        rest = f"the model keeps {rate_hz:g} Hz, and `encode` writes the time of each frame"
+        notes.append(uneven_words(clip.name, clip.times_s, rest))
     crop, found_crop = asked.crop, None
     if crop == "auto":
         width, height = asked.size or DEFAULT_SIZE

@@ -15,7 +15,7 @@ from morphspace.imitation.imitator import METHOD, imitator_of
 from morphspace.imitation.motions import (
     FacesSeen,
     Motion,
-    at_rate_of,
+    at_common_rate,
     look_for_faces,
     measured,
     opened,
@@ -143,7 +143,7 @@ def written_imitation(
         faces[role] = yield from look_for_faces(role, source, reader.mean.render(), reader.identity, detector)
     stimulus = yield from measured(sources[0], model, part)
     imitation = yield from measured(sources[1], model, part)
-    imitation = at_rate_of(stimulus, imitation, notes)
+    stimulus, imitation = at_common_rate(stimulus, imitation, notes)
     a_sd, b_sd = stimulus.loadings_sd[:, :k], imitation.loadings_sd[:, :k]
     comparison = yield from compare(
         a_sd, b_sd, model.sd[:k], permutations=asked.permutations, seed=asked.seed

@@ -19,6 +19,7 @@ from morphspace import cache
 from morphspace.arrays import AnyArray, Image
 from morphspace.face.detector import Detector
 from morphspace.face.mesh import FacePoints
+from morphspace.io.clock import is_even, uneven_words
 from morphspace.io.images import picture_names, read_image, write_image
 from morphspace.io.tables import write_loadings_table
 from morphspace.io.video import write_video
@@ -166,18 +167,19 @@ def video_steps(
     driver: Driver, pictures: Sequence[Path], video: Path
 ) -> Steps[list[tuple[str, Image, Image]]]:
     """Write the video of source beside mimicry; return small pairs of a few frames for the page."""
-    total = len(pictures)
+    shown = driver.shown().tolist()
+    total = len(shown)
     sampled = set(np.linspace(0, total - 1, min(total, PAIRS_SHOWN)).round().astype(int).tolist())
     pairs: list[tuple[str, Image, Image]] = []
     yield Step("video", 0, total)
 
     def frames() -> Iterator[Image]:
-        sources = in_order(driver.picture, driver.given(range(total)))
-        for place, (picture, path) in enumerate(zip(sources, pictures, strict=True)):
-            mimicry = read_image(path)
+        sources = in_order(driver.picture, driver.given(shown))
+        for place, picture in enumerate(sources):
+            mimicry = read_image(pictures[shown[place]])
             if place in sampled:
                 small = of_width(picture, THUMBNAIL_WIDTH_PX), of_width(mimicry, THUMBNAIL_WIDTH_PX)
-                pairs.append((driver.names[place], *small))
+                pairs.append((driver.names[shown[place]], *small))
             yield panels_of((picture, mimicry), mimicry.shape[0])
 
     write_video(video, frames(), frame_rate_hz=driver.rate_hz or FRAME_RATE_HZ, encoding="people")
@@ -293,6 +295,7 @@ def written_mimicry(
     notes = (
         *drive.notes,
         *driver.notes,
+        *_uneven_note(driver),
         *_size_note(source.model, target.model),
         *looks.notes,
         *advice.advice_of(source.model, target.model, made, loadings_sd, looks, drive.gain, drive.neutral),
@@ -380,7 +383,7 @@ def _write_loadings(
         "inputs": driver.inputs,
         "versions": versions(),
     }
-    write_loadings_table(path, loadings_sd, driver.names, document)
+    write_loadings_table(path, loadings_sd, driver.names, document, driver.times_s)
     return path, path.with_suffix(".json")
 
 
@@ -391,6 +394,13 @@ def _size_note(source: MorphModel, target: MorphModel) -> tuple[str, ...]:
         f"{source.identity} has frames of {source.size[0]}x{source.size[1]}, {target.identity} of {target.size[0]}x"
         f"{target.size[1]}: the motion is resampled to the latter",
     )
+
+
+def _uneven_note(driver: Driver) -> tuple[str, ...]:
+    if driver.times_s is None or driver.rate_hz is None or is_even(driver.times_s, driver.rate_hz):
+        return ()
+    rest = f"the video shows the nearest frame at each time of {driver.rate_hz:g} Hz; loadings.csv keeps their times"
+    return (uneven_words(driver.name, driver.times_s, rest),)
 
 
 def _clipped_note(made: Sequence[FrameMade], target: MorphModel) -> tuple[str, ...]:

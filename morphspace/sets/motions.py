@@ -11,6 +11,7 @@ import numpy as np
 
 from morphspace.arrays import AnyArray
 from morphspace.errors import BadInput, ReferenceMismatch
+from morphspace.io.clock import evenly_sampled
 from morphspace.io.tables import read_loadings_table, write_loadings_table
 from morphspace.model.model import MorphModel
 from morphspace.outcome import versions
@@ -100,10 +101,12 @@ def _motion(path: Path, model: MorphModel, rate_hz: float | None) -> tuple[Motio
     """Read a motion, check that it belongs to the model, and return it with notes."""
     table = read_loadings_table(path)
     notes = check_table(model, table, path)
-    known_hz = rate_hz or table.rate_hz or model.provenance.get("frame_rate_hz")
+    own_hz = table.rate_hz or model.provenance.get("frame_rate_hz")
+    known_hz = rate_hz or own_hz
     if not known_hz:
         notes += (f"{path} has no frame rate: {FRAME_RATE_HZ:g} Hz is assumed; give --frame-rate",)
-    return Motion(path.stem, table.loadings_sd, float(known_hz or FRAME_RATE_HZ)), notes
+    loadings_sd, uneven = evenly_sampled(str(path), table.loadings_sd, table.times_s, own_hz)
+    return Motion(path.stem, loadings_sd, float(known_hz or FRAME_RATE_HZ)), notes + uneven
 
 
 def _guide(path: Path, model: MorphModel, rate_hz: float | None) -> tuple[Motion, tuple[str, ...]]:

@@ -9,10 +9,11 @@ from typing import Any
 
 import numpy as np
 
-from morphspace.arrays import LoadingTable
+from morphspace.arrays import AnyArray, LoadingTable
 from morphspace.avatar.build import told_together
 from morphspace.errors import BadInput
 from morphspace.io.clips import Clip
+from morphspace.io.clock import evenly_sampled
 from morphspace.io.framing import FramedClip
 from morphspace.io.names import UNFIT
 from morphspace.io.tables import read_loadings_table
@@ -44,6 +45,8 @@ class Faces:
         Frame rate of the rows.
     inputs
         Source files, name to SHA-256.
+    times_s
+        The times of the rows (n,), s, if they are a recording that has them.
     """
 
     name: str
@@ -52,6 +55,15 @@ class Faces:
     frame_rate_hz: float
     inputs: Mapping[str, str]
     notes: tuple[str, ...] = ()
+    times_s: Sequence[float] | AnyArray | None = None
+
+    def for_video(self, video: str | None) -> Faces:
+        """Return the faces as the frames of a video, at even times; unchanged for pictures (`video` None)."""
+        values, notes = evenly_sampled(self.name, self.loadings_sd, self.times_s, self.frame_rate_hz)
+        if video is None or not notes:
+            return self
+        names = tuple(f"{self.name}_{row:06d}" for row in range(len(values)))
+        return replace(self, names=names, loadings_sd=values, notes=(*self.notes, *notes), times_s=None)
 
     def stimuli(self, video: str | None) -> list[tuple[str, slice]]:
         """Return the stimuli: each row by itself, or all rows as one motion if a `video` suffix is given."""
@@ -126,10 +138,12 @@ def faces_of(
     if (table is None) == (not clip):
         given = "neither was given" if table is None else "both were given"
         raise BadInput(f"the faces come from a table (--loadings) or a clip (--clip); {given}. Give one")
-    check_rate(frame_rate_hz)
     faces = _of_table(model, table) if table is not None else (yield from _of_clip(model, clip, frames, crop))
     if frame_rate_hz is not None:
-        faces = Faces(faces.name, faces.names, faces.loadings_sd, frame_rate_hz, faces.inputs, faces.notes)
+        times_s = faces.times_s
+        if times_s is not None:  # the frames are shown faster or slower
+            times_s = np.asarray(times_s) * (faces.frame_rate_hz / frame_rate_hz)
+        faces = replace(faces, frame_rate_hz=frame_rate_hz, times_s=times_s)
     return _chosen(faces, frames)
 
 
@@ -146,6 +160,7 @@ def _of_table(model: MorphModel, path: Path) -> Faces:
         float(rate),
         {"loadings": digest_of_kept(path)},
         notes,
+        table.times_s,
     )
 
 
@@ -166,7 +181,8 @@ def _of_clip(
     inputs = {f"clip/{name}": digest for name, digest in zip(source.names, source.file_digests, strict=True)}
     notes = notes_on_frames(source, model.identity)
     notes += notes_on_identity(model, source.clip)
-    return Faces(source.clip.name, source.names, loadings.in_sd(model).values, float(rate), inputs, notes)
+    values = loadings.in_sd(model).values
+    return Faces(source.clip.name, source.names, values, float(rate), inputs, notes, source.clip.times_s)
 
 
 def _chosen(faces: Faces, frames: tuple[str, ...]) -> Faces:
@@ -174,14 +190,7 @@ def _chosen(faces: Faces, frames: tuple[str, ...]) -> Faces:
         return faces
     check_frames(frames, faces.names, faces.name)
     places = [faces.names.index(name) for name in frames]
-    return Faces(
-        faces.name,
-        frames,
-        np.asarray(faces.loadings_sd[places]),
-        faces.frame_rate_hz,
-        faces.inputs,
-        faces.notes,
-    )
+    return replace(faces, names=frames, loadings_sd=np.asarray(faces.loadings_sd[places]), times_s=None)
 
 
 def frames_of(source: FramedClip, frames: tuple[str, ...]) -> FramedClip:
@@ -202,9 +211,3 @@ def check_frames(frames: Sequence[str], names: Sequence[str], where: str) -> Non
             )
         if list(frames).count(frame) > 1:
             raise BadInput(f"the frame {frame!r} was given twice. Give each once")
-
-
-def check_rate(frame_rate_hz: float | None) -> None:
-    """Check that a frame rate is above 0 and at most 1000 Hz. Raises `BadInput` otherwise."""
-    if frame_rate_hz is not None and not 0 < frame_rate_hz <= 1000:
-        raise BadInput(f"the frame rate is {frame_rate_hz:g} Hz; expected above 0, at most 1000")

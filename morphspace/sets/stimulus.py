@@ -180,14 +180,13 @@ def originals_of(drawing: Drawing) -> Iterator[Image] | None:
     if drawing.placing is None:
         return None
     clip = _opened(drawing.placing.sources)
-    places = []
+    places, digests = [], clip.digests()
     for name in drawing.placing.names:
         if name not in clip.frame_names:
             raise BadInput(f"{drawing.name} is put back into frame {name} of {clip.name}, which is missing")
         places.append(clip.frame_names.index(name))
-    for name, digest, found in zip(
-        drawing.placing.names, drawing.placing.digests, clip.subset(places).digests(), strict=True
-    ):
+    for name, digest, place in zip(drawing.placing.names, drawing.placing.digests, places, strict=True):
+        found = digests[place]
         if found != digest:
             raise BadInput(
                 f"{drawing.name} is put back into frame {name} of {clip.name}, which has changed: its digest is "

@@ -18,7 +18,7 @@ from morphspace.arrays import AnyArray, LoadingTable, Mask
 from morphspace.errors import BadInput
 from morphspace.io.names import FORMULA, UNFIT
 from morphspace.io.stimulus_sidecars import DrawingDocument, PlacingDocument
-from morphspace.requests import VIDEO_SUFFIXES
+from morphspace.requests import VIDEO_SUFFIXES, check_rate
 
 FURTHEST_SD = 1000.0  # SD; larger values are errors, and colours overflow
 PICTURE_SUFFIXES = (".png",)
@@ -163,10 +163,8 @@ class Drawing:
                 f"{self.name} has {len(self.loadings_sd)} frames and no frame rate: a picture has one frame, a video "
                 "needs a rate in Hz"
             )
-        if self.frame_rate_hz is not None and not 0 < self.frame_rate_hz <= 1000:
-            raise BadInput(
-                f"{self.name} has a frame rate of {self.frame_rate_hz} Hz; expected above 0, at most 1000. Change it"
-            )
+        if self.frame_rate_hz is not None:
+            check_rate(self.frame_rate_hz, f"the frame rate of {self.name}")
 
     def _checked(self, entry: str) -> LoadingTable:
         """Return a table as read-only float64. Raise `BadInput` if its shape or a value is not possible."""

@@ -15,6 +15,7 @@ import numpy as np
 
 from morphspace.arrays import AnyArray, LoadingTable
 from morphspace.errors import BadInput
+from morphspace.requests import check_rate
 from morphspace.stimuli import timing, trajectory
 from morphspace.stimuli.motion_words import GUIDED, WORDS, Word
 from morphspace.stimuli.timing import Ends
@@ -100,8 +101,7 @@ def _speed(motion: Motion, numbers: tuple[float, ...], setting: Setting) -> Moti
 
 def _rate(motion: Motion, numbers: tuple[float, ...], setting: Setting) -> Motion:
     (rate_hz,) = numbers
-    if not 0 < rate_hz <= 1000:
-        raise BadInput(f"the frame rate is {rate_hz:g} Hz; expected above 0, at most 1000. Change it")
+    check_rate(rate_hz, "the frame rate")
     if motion.duration_s * rate_hz < 2:
         raise BadInput(
             f"{motion.name} lasts {motion.duration_s:g} s; expected at least 2 frames at {rate_hz:g} Hz. Give a higher "

@@ -15,6 +15,7 @@ import numpy as np
 from morphspace.arrays import AnyArray, Image
 from morphspace.errors import BadInput
 from morphspace.face.mesh import FacePoints
+from morphspace.io.clock import frames_shown
 from morphspace.model.encode import framed_for, notes_on_framing
 from morphspace.model.model import MorphModel
 from morphspace.model.morph import MorphOffset
@@ -52,6 +53,8 @@ class Driver:
     files : tuple of Path
     notes : tuple of str
         Changes that were made to the frames.
+    times_s : tuple of n floats, s, or None
+        The times of the frames of a clip that has them.
     is_pictures : bool
         Whether the frames are pictures, in which faces can be detected, or loadings.
     """
@@ -66,7 +69,12 @@ class Driver:
     picture: Callable[[AnyArray], Image]
     files: tuple[Path, ...] = ()
     notes: tuple[str, ...] = ()
+    times_s: tuple[float, ...] | None = None
     is_pictures: bool = True
+
+    def shown(self) -> AnyArray:
+        """Return the frame (m,) that each picture of a video at even times shows: the nearest one."""
+        return frames_shown(len(self.names), self.times_s, self.rate_hz)
 
 
 def training_driver(source: UsedModel) -> Driver:
@@ -125,4 +133,5 @@ def clip_driver(source: UsedModel, frames: str) -> Driver:
         picture=lambda picture: picture,
         files=framed.clip.paths,
         notes=framed.clip.notes + notes_on_framing(framed.framing, model.identity, "driving frames"),
+        times_s=framed.clip.times_s,
     )

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 from annotated_types import Ge, Gt, Le
 
 from morphspace.flow.names import DEFAULT, NAMES
-from morphspace.requests import Clip, Crop, Size, declared, settings_in
+from morphspace.requests import Clip, Crop, Deinterlace, Size, declared, settings_in
 from morphspace.settings import Help, OneOf, Option, Spelled
 
 if TYPE_CHECKING:
@@ -74,6 +74,7 @@ class BuildModelRequest:
         Option("--work-dir"),
         Help("Folder for finished frames, from which a stopped run resumes."),
     ] = None
+    deinterlace: Deinterlace = False
     identity: Annotated[
         str | None, Help("Name of the person [default: from clip.json, else the clip's name].")
     ] = None
@@ -90,7 +91,7 @@ def run(request: BuildModelRequest) -> Steps[Outcome]:
     from morphspace.sets.protect import Output, check_file, writing
 
     settings = settings_in(request, ClipSettings)
-    clip = open_clip(request.sources)
+    clip = open_clip(request.sources, deinterlace=request.deinterlace)
     output = request.output or Path(f"{clip.name}.morph")
     report = request.report or output.with_suffix(".html")
     check_file(output, ".morph")

@@ -100,6 +100,7 @@ def plan(request: CaricatureRequest, model: MorphModel | None = None) -> Steps[P
     faces = yield from faces_of(
         model, request.loadings, request.clip, request.frames, request.crop, request.frame_rate_hz
     )
+    faces = faces.for_video(request.video)
     rate = None if request.video is None else faces.frame_rate_hz
     drawings = [
         drawing

@@ -5,10 +5,11 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-from morphspace.requests import Clip, FrameCrop, Model, declared
+from morphspace.requests import Clip, Deinterlace, FrameCrop, Model, declared
 from morphspace.settings import Help, Option
 
 if TYPE_CHECKING:
+    from morphspace.io import clips
     from morphspace.model.loadings import Loadings
     from morphspace.model.model import MorphModel
     from morphspace.outcome import Outcome
@@ -23,6 +24,7 @@ class EncodeRequest:
     sources: Clip
     output: Annotated[Path, Option("-o", "--output"), Help("The loadings table (.csv).")]
     crop: FrameCrop = None
+    deinterlace: Deinterlace = False
 
 
 def run(request: EncodeRequest) -> Steps[Outcome]:
@@ -43,7 +45,7 @@ def run(request: EncodeRequest) -> Steps[Outcome]:
     from morphspace.steps import Step
 
     model = load_model(request.model)
-    source = framed_for(model, request.sources, request.crop)
+    source = framed_for(model, request.sources, request.crop, deinterlace=request.deinterlace)
     sidecar = request.output.with_suffix(".json")
     check_file(request.output, ".csv")
     parts: list[Loadings] = []
@@ -54,7 +56,7 @@ def run(request: EncodeRequest) -> Steps[Outcome]:
             parts.append(encoded.loadings)
             yield Step("encode", len(parts), len(source.names))
         loadings = joined(model, parts)
-        written = write_loadings(request.output, loadings, model, request.model, inputs)
+        written = write_loadings(request.output, loadings, model, request.model, inputs, source.clip)
     furthest = float(np.abs(loadings.in_sd(model).values).max(initial=0))
     lines = (
         f"{request.output}: {len(parts)} frames, {model.rank} components of {model.identity}, in SD; the furthest "
@@ -72,22 +74,32 @@ def run(request: EncodeRequest) -> Steps[Outcome]:
 
 
 def write_loadings(
-    output: Path, loadings: Loadings, model: MorphModel, model_path: Path, inputs: dict[str, str]
+    output: Path,
+    loadings: Loadings,
+    model: MorphModel,
+    model_path: Path,
+    inputs: dict[str, str],
+    clip: clips.Clip | None = None,
 ) -> tuple[Path, Path]:
-    """Write loadings as a table in SD, with a sidecar that names the model and the inputs."""
+    """Write loadings as a table in SD, with the times of the clip, and a sidecar that names model, rate and inputs.
+
+    The model's rate stands in for that of a clip without one.
+    """
     from morphspace.io.tables import write_loadings_table
     from morphspace.outcome import versions
     from morphspace.storage import digest_of_file
 
+    own_hz = None if clip is None else clip.sidecar.frame_rate_hz
     document = {
         "model_id": model.model_id,
         "model_sha256": digest_of_file(model_path),
         "identity": model.identity,
         "consent": model.provenance.get("consent"),
         "licence": model.provenance.get("licence"),
-        "frame_rate_hz": model.provenance.get("frame_rate_hz"),
+        "frame_rate_hz": own_hz or model.provenance.get("frame_rate_hz"),
         "inputs": inputs,
         "versions": versions(),
     }
-    write_loadings_table(output, loadings.in_sd(model).values, loadings.frame_names, document)
+    times_s = None if clip is None else clip.times_s
+    write_loadings_table(output, loadings.in_sd(model).values, loadings.frame_names, document, times_s)
     return output, output.with_suffix(".json")

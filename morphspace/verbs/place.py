@@ -55,6 +55,7 @@ def plan(request: PlaceRequest, model: MorphModel | None = None) -> Steps[Planne
     """Read, align and check all inputs without drawing; `model` is the open model, or None."""
     import numpy as np
 
+    from morphspace.io.clock import frames_shown, is_even, uneven_words
     from morphspace.io.stimulus_sidecars import ORIGINAL_IDENTITY
     from morphspace.io.tables import read_loadings_table
     from morphspace.model.encode import framed_for, notes_on_frames
@@ -97,19 +98,28 @@ def plan(request: PlaceRequest, model: MorphModel | None = None) -> Steps[Planne
     inputs |= {f"clip/{name}": digest for name, digest in zip(source.names, digests, strict=True)}
     notes += notes_on_identity(model, source.clip)
     identity = source.clip.sidecar.identity
-    rate = request.frame_rate_hz or source.clip.sidecar.frame_rate_hz
+    clock = (source.clip.times_s, source.clip.sidecar.frame_rate_hz)
+    names = source.names
+    if request.video is not None and not is_even(*clock):
+        notes += (
+            uneven_words(source.clip.name, clock[0] or (), "the video shows the nearest frame at each time"),
+        )
+        shown = frames_shown(len(names), *clock)
+        loadings_sd, registrations = loadings_sd[shown], registrations[shown]
+        names, digests = (tuple(each[place] for place in shown) for each in (names, digests))
+    rate = request.frame_rate_hz or clock[1]
     rate = rate or model.provenance.get("frame_rate_hz") or FRAME_RATE_HZ
-    faces = Faces(source.clip.name, source.names, loadings_sd, float(rate), inputs)
+    faces = Faces(source.clip.name, names, loadings_sd, float(rate), inputs)
     drawings = [
         Drawing(
             name,
             loadings_sd[rows],
             frame_rate_hz=None if request.video is None else faces.frame_rate_hz,
             suffix=request.video or ".png",
-            placing=Placing(source.names[rows], digests[rows], registrations[rows], request.clip),
+            placing=Placing(names[rows], digests[rows], registrations[rows], request.clip),
             variables={
                 "gain": float(request.gain),
-                "original": source.names[rows][0] if request.video is None else name,
+                "original": names[rows][0] if request.video is None else name,
                 **({} if identity is None else {ORIGINAL_IDENTITY: identity}),
             },
         )

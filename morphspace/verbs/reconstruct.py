@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 
 from annotated_types import Ge
 
-from morphspace.requests import Clip, Folder, FrameCrop, Model, declared
+from morphspace.requests import Clip, Deinterlace, Folder, FrameCrop, Model, declared
 from morphspace.settings import Help, Option
 from morphspace.verbs.encode import write_loadings
 
@@ -29,6 +29,7 @@ class ReconstructRequest:
         Help("Largest number of components, from the first [default: all]."),
     ] = None
     crop: FrameCrop = None
+    deinterlace: Deinterlace = False
 
 
 def run(request: ReconstructRequest) -> Steps[Outcome]:
@@ -50,16 +51,18 @@ def run(request: ReconstructRequest) -> Steps[Outcome]:
 
     whole, folder = load_model(request.model), request.output
     model, notes = first_components(whole, request.components)
-    source = framed_for(model, request.sources, request.crop)
+    source = framed_for(model, request.sources, request.crop, deinterlace=request.deinterlace)
     notes += notes_on_frames(source, model.identity)
     names = (*FOLDERS, METRICS_NAME, "loadings.csv", "loadings.json", SHEET_NAME, PAGE_NAME, RECORD_NAME)
     guarded = Output("reconstruct", folder, [folder / name for name in names], inputs=source.clip.paths)
     inputs = dict(zip(source.names, source.file_digests, strict=True))
     with writing(guarded):
         made = yield from written_reconstruction(folder, model, whole, source, notes)
-        loadings = write_loadings(folder / "loadings.csv", made.loadings, whole, request.model, inputs)
+        loadings = write_loadings(
+            folder / "loadings.csv", made.loadings, whole, request.model, inputs, source.clip
+        )
         written = (*made.files, *loadings)
-        settings = {"components": model.rank, "crop": request.crop}
+        settings = {"components": model.rank, "crop": request.crop, "deinterlace": request.deinterlace}
         files = {
             "model": digest_of_file(request.model),
             **{f"clip/{name}": digest for name, digest in inputs.items()},

@@ -66,6 +66,7 @@ def plan(request: RenderRequest, model: MorphModel | None = None) -> Steps[Plann
 
     model = model or load_model(request.model)
     faces = yield from faces_of(model, request.table, frame_rate_hz=request.frame_rate_hz)
+    faces = faces.for_video(request.video)
     loadings_sd = caricatured(faces.loadings_sd, request.gain)
     check_reach(loadings_sd, faces.names, request.table)
     gains = {"gain": float(request.gain)}

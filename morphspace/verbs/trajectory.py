@@ -7,10 +7,10 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-from annotated_types import Ge, Gt, Le
+from annotated_types import Ge
 
 from morphspace.errors import BadInput
-from morphspace.requests import Model, VideoSuffix, declared
+from morphspace.requests import FrameRate, Model, VideoSuffix, declared
 from morphspace.settings import Argument, Help, Option
 from morphspace.stimuli.motion_words import operations_help
 
@@ -50,11 +50,7 @@ class TrajectoryRequest:
         ),
     ] = None
     frame_rate_hz: Annotated[
-        float | None,
-        Gt(0),
-        Le(1000),
-        Option("--frame-rate", metavar="HZ"),
-        Help("Frame rate of the tables, Hz [default: from their sidecars, else 25]."),
+        FrameRate, Help("Frame rate of the tables, Hz [default: from their sidecars, else 25].")
     ] = None
     seed: Annotated[int, Ge(0), Help("Seed of the random order; the same seed gives the same result.")] = 0
     video: Annotated[

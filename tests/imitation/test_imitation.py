@@ -10,7 +10,7 @@ from morphspace.errors import BadInput
 from morphspace.imitation import align, compare, masked_basis
 from morphspace.imitation.chance import baseline_of, familywise, in_pieces, of_random_phases, p_values
 from morphspace.imitation.information import entropy, mutual_information
-from morphspace.imitation.shape import lag_curves, peak, resampled, similarity, standardised
+from morphspace.imitation.shape import lag_curves, peak, similarity, standardised
 from morphspace.linear.pca import Basis
 from morphspace.steps import result_of
 
@@ -396,13 +396,6 @@ def test_of_equal_peaks_the_least_lag_is_taken():
     wave = np.sin(2 * np.pi * np.arange(60) / 10)[:, None]
     lags, curves = lag_curves(wave, wave[None])
     assert_array_equal(peak(curves[0], lags)[0], 0)
-
-
-def test_resampling_keeps_what_is_linear_and_the_rate_it_has():
-    ramp = np.column_stack([np.arange(11.0), -np.arange(11.0)])
-    assert_allclose(resampled(ramp, 25, 50)[:, 0], np.arange(21) / 2)
-    assert_array_equal(resampled(ramp, 25, 25), ramp)
-    assert_allclose(resampled(ramp, 30, 25)[:, 0], np.arange(9) * 1.2)
 
 
 def test_standardising_takes_place_and_size_away():

@@ -6,7 +6,9 @@ import os
 import random
 import subprocess
 import sys
+from fractions import Fraction
 
+import av
 import numpy as np
 import pytest
 from numpy.testing import assert_array_equal
@@ -118,7 +120,9 @@ def test_a_broken_sidecar_is_named(folder):
     with pytest.raises(UnreadableFile, match=r"clip\.json is not JSON"):
         open_clip([folder])
     (folder / "clip.json").write_text('{"frame_rate_hz": true}')
-    with pytest.raises(BadInput, match=r"clip\.json: frame_rate_hz is true; expected a number above 0"):
+    with pytest.raises(
+        BadInput, match=r"clip\.json: frame_rate_hz is true; expected a number from 0.01 to 10000"
+    ):
         open_clip([folder])
 
 
@@ -300,3 +304,69 @@ def test_one_truncated_frame_is_named_on_reading(folder):
         assert_array_equal(next(frames), read_image(folder / f"frame_{index}.png"))
     with pytest.raises(UnreadableFile, match=r"frame_5\.png is cut short"):
         next(frames)
+
+
+def uneven(path, times_ms, codec="libx264", pixels="yuv420p", rate=25, options=None):
+    """Write a video whose frames have these times, ms."""
+    with av.open(str(path), "w") as container:
+        stream = container.add_stream(codec, rate=rate, options=options or {})
+        stream.pix_fmt, stream.height, stream.width = pixels, 64, 64
+        stream.codec_context.time_base = Fraction(1, 1000)
+        for index, time_ms in enumerate(times_ms):
+            picture = av.VideoFrame.from_ndarray(np.full((64, 64, 3), 10 * index, np.uint8), format="rgb24")
+            picture.pts, picture.time_base = time_ms, Fraction(1, 1000)
+            container.mux(stream.encode(picture))
+        container.mux(stream.encode(None))
+    return path
+
+
+TIMES_MS = (0, 40, 80, 120, 200, 240, 310, 350)
+
+
+def test_a_clip_has_the_times_of_its_frames_which_a_sidecar_stretches_and_a_selection_drops(tmp_path):
+    clip = open_clip([uneven(tmp_path / "take.mp4", TIMES_MS)])
+    assert clip.sidecar.frame_rate_hz == pytest.approx(7 / 0.35)  # no header holds: the mean
+    assert clip.times_s == pytest.approx(np.array(TIMES_MS) / 1000)
+    assert clip.subset(range(8)).times_s == clip.times_s
+    assert clip.subset([0, 1]).times_s is clip.subset(range(7, -1, -1)).times_s is None
+    (tmp_path / "take.clip.json").write_text('{"frame_rate_hz": 1000}')
+    fast = open_clip([tmp_path / "take.mp4"])  # a high-speed recording that plays slowly
+    assert fast.sidecar.frame_rate_hz == 1000
+    assert fast.times_s == pytest.approx(np.array(TIMES_MS) / 1000 * 20 / 1000)
+
+
+def test_pictures_have_no_times(folder):
+    assert open_clip([folder]).times_s is None
+
+
+def test_a_rate_that_cannot_be_is_refused_and_a_sidecar_gives_the_true_one(tmp_path):
+    path = tmp_path / "take.mkv"  # whole milliseconds do not rise here, so that the header alone counts
+    with av.open(str(path), "w") as container:
+        stream = container.add_stream("ffv1", rate=20_000)
+        stream.pix_fmt, stream.height, stream.width = "bgr0", 64, 64
+        for index in range(8):
+            picture = av.VideoFrame.from_ndarray(np.full((64, 64, 3), 20 * index, np.uint8), format="rgb24")
+            picture.pts, picture.time_base = index, Fraction(1, 20_000)
+            container.mux(stream.encode(picture))
+        container.mux(stream.encode(None))
+    with pytest.raises(
+        BadInput, match=r"is 20000 Hz; expected 0\.01 to 10000\. Write .* into take\.clip\.json"
+    ):
+        open_clip([path])
+    (tmp_path / "take.clip.json").write_text('{"frame_rate_hz": 25}')
+    assert open_clip([path]).sidecar.frame_rate_hz == 25
+
+
+def test_an_interlaced_video_is_refused_unless_its_fields_are_to_be_made_whole(tmp_path):
+    options = {"flags": "+ildct+ilme", "x264-params": "bff=1"}
+    path = uneven(tmp_path / "take.mp4", range(0, 320, 40), options=options)
+    with pytest.raises(BadInput, match=r"is interlaced \(8 of 8 frames\); .*--deinterlace") as refused:
+        open_clip([path])
+    assert '"deinterlace": true into take.clip.json' in str(refused.value)
+    asked = open_clip([path], deinterlace=True)
+    assert asked.is_deinterlaced and len(list(asked.images())) == 8
+    assert "deinterlaced with FFmpeg's bwdif" in asked.notes[0]
+    (tmp_path / "take.clip.json").write_text('{"deinterlace": true}')
+    told = open_clip([path])
+    assert told.digests() == asked.digests()
+    assert open_clip([uneven(tmp_path / "b.mp4", TIMES_MS)], deinterlace=True).is_deinterlaced is False

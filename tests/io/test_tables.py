@@ -281,3 +281,45 @@ def test_a_disk_that_fills_between_table_and_sidecar_changes_neither(tmp_path, m
     with pytest.raises(UnwritableFile, match="No space left"):
         written_pair(tmp_path / "t.csv", 2.0, "berta")
     assert count == 2 and {path.name: path.read_bytes() for path in tmp_path.iterdir()} == before
+
+
+def test_times_are_a_column_that_comes_back_and_tables_without_them_read(tmp_path):
+    loadings = np.random.default_rng(3).normal(size=(3, 2))
+    times_s = (0.0, 1 / 30, 0.0812)
+    names = ("a", "b", "c")
+    write_loadings_table(tmp_path / "t.csv", loadings, names, {"frame_rate_hz": 25.0}, times_s)
+    assert (tmp_path / "t.csv").read_text().startswith("frame,time_s,pc001_sd,pc002_sd\na,0.0,")
+    back = read_loadings_table(tmp_path / "t.csv")
+    assert tuple(back.times_s) == times_s
+    assert np.array_equal(back.loadings_sd, loadings)
+    assert back.rate_hz == 25.0
+    assert back.document["component_count"] == 2
+    (tmp_path / "t.json").unlink()
+    assert read_loadings_table(tmp_path / "t.csv").rate_hz == 2 / 0.0812
+    write_loadings_table(tmp_path / "u.csv", loadings, names, {})
+    assert read_loadings_table(tmp_path / "u.csv").times_s is None
+
+
+def test_times_that_do_not_rise_are_refused(tmp_path):
+    loadings = np.zeros((3, 1))
+    with pytest.raises(BadInput, match="time_s of frame b is 0; expected more than the 0 before"):
+        write_loadings_table(tmp_path / "t.csv", loadings, "abc", {}, (0.0, 0.0, 1.0))
+    with pytest.raises(BadInput, match="there are 2 times; expected 3"):
+        write_loadings_table(tmp_path / "t.csv", loadings, "abc", {}, (0.0, 1.0))
+    (tmp_path / "t.csv").write_text("frame,time_s,pc001_sd\na,0,1\nb,0.2,1\nc,0.1,1\n")
+    with pytest.raises(
+        BadInput, match=r"t\.csv: time_s of frame c is 0\.1; expected more than the 0\.2 before"
+    ):
+        read_loadings_table(tmp_path / "t.csv")
+
+
+@pytest.mark.parametrize(
+    ("rate_hz", "is_read"), [(0.01, True), (10_000, True), (0.009, False), (10_001, False)]
+)
+def test_the_limits_of_a_frame_rate(tmp_path, rate_hz, is_read):
+    write_loadings_table(tmp_path / "t.csv", np.zeros((2, 1)), "ab", {"frame_rate_hz": rate_hz})
+    if is_read:
+        assert read_loadings_table(tmp_path / "t.csv").rate_hz == rate_hz
+    else:
+        with pytest.raises(BadInput, match=r"frame_rate_hz is .*; expected a number from 0\.01 to 10000"):
+            read_loadings_table(tmp_path / "t.csv")

@@ -5,6 +5,7 @@ promised.
 import struct
 import subprocess
 import sys
+from fractions import Fraction
 
 import av
 import cv2
@@ -13,6 +14,7 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 from morphspace.errors import BadInput, SizeMismatch, UnreadableFile, UnwritableFile
+from morphspace.io import video
 from morphspace.io.video import read_frames, video_info, write_video
 from morphspace.synthetic.warped import astronaut_face
 
@@ -164,22 +166,318 @@ def test_hdr_is_refused(tmp_path, curve, name):
         list(read_frames(tmp_path / "a.mkv"))
 
 
-@pytest.mark.parametrize(
-    ("clockwise", "matrix"), [(90, (0, 1, -1, 0)), (180, (-1, 0, 0, -1)), (270, (0, -1, 1, 0))]
-)
-def test_the_rotation_of_phones_is_applied(tmp_path, clockwise, matrix):
-    path = tmp_path / "a.mp4"
-    write_video(path, [FLAT / np.float32(255)], encoding="lossless")
+def write_matrix(path, a, b, c, d):
+    """Write the display matrix into the track header of an MP4 (ISO/IEC 14496-12, 8.3.2)."""
     content = bytearray(path.read_bytes())
     box = content.find(b"tkhd") + 4
-    place = box + 4 + (32 if content[box] else 20) + 16  # ISO/IEC 14496-12, 8.3.2
-    a, b, c, d = (value << 16 for value in matrix)
-    content[place : place + 36] = struct.pack(">9i", a, b, 0, c, d, 0, 0, 0, 1 << 30)
+    place = box + 4 + (32 if content[box] else 20) + 16
+    fixed = [int(value * 65536) for value in (a, b, 0, c, d, 0, 0, 0)]
+    content[place : place + 36] = struct.pack(">9i", *fixed, 1 << 30)
     path.write_bytes(content)
+
+
+@pytest.mark.parametrize("matrix", [(1, 0, 0, 1), (-1, 0, 0, 1), (1, 0, 0, -1), (-1, 0, 0, -1)])
+@pytest.mark.parametrize("is_turned", [False, True])
+def test_the_display_matrix_is_applied_turns_and_flips_and_both(tmp_path, matrix, is_turned):
+    path = tmp_path / "a.mp4"
+    write_video(path, [FLAT / np.float32(255)], encoding="lossless")
+    a, b, c, d = (0, matrix[0], matrix[3], 0) if is_turned else matrix
+    write_matrix(path, a, b, c, d)
     (image,) = read_frames(path)
-    upright = np.rot90(FLAT, -clockwise // 90)
+    # A pixel (x, y) is shown at (a x + c y, b x + d y), up to the shift that makes both begin at 0.
+    y, x = np.mgrid[: FLAT.shape[0], : FLAT.shape[1]]
+    shown = np.stack([a * x + c * y, b * x + d * y])
+    shown -= shown.min(axis=(1, 2), keepdims=True)
+    upright = np.zeros((shown[1].max() + 1, shown[0].max() + 1, 3))
+    upright[shown[1], shown[0]] = FLAT
     assert_array_equal(np.rint(image * 255), upright)
     assert video_info(path).size == (upright.shape[1], upright.shape[0])
+
+
+@pytest.mark.parametrize("turns", range(4))
+def test_a_turn_is_applied_where_pyav_cannot_read_the_display_matrix(turns):
+    class Frame:
+        rotation = 90 * turns - 360 * (turns > 2)
+
+        @property
+        def side_data(self):
+            raise ValueError("34 is not a valid Type")
+
+    image = np.arange(24.0).reshape(2, 4, 3)
+    assert_array_equal(video._upright("a.mp4", image, Frame()), np.rot90(image, turns))
+
+
+def test_an_oblique_display_matrix_is_refused(tmp_path):
+    write_video(tmp_path / "a.mp4", [FLAT / np.float32(255)], encoding="lossless")
+    write_matrix(tmp_path / "a.mp4", 0.8, 0.6, -0.6, 0.8)
+    with pytest.raises(BadInput, match=r"a\.mp4 is turned by 36\.9 degrees; expected quarter turns"):
+        video_info(tmp_path / "a.mp4")
+
+
+def encoded(
+    path, frames, codec, pixels, times=None, options=None, tick=Fraction(1, 25), aspect=None, rate=25
+):
+    """Write 8-bit frames with libav; a time is a whole number of ticks."""
+    with av.open(str(path), "w") as container:
+        stream = container.add_stream(codec, rate=rate, options=options or {})
+        stream.pix_fmt = pixels
+        stream.height, stream.width = frames[0].shape[:2]
+        if aspect is not None:
+            stream.codec_context.sample_aspect_ratio = aspect
+        if times is not None:
+            stream.codec_context.time_base = tick
+        for index, codes in enumerate(frames):
+            picture = av.VideoFrame.from_ndarray(codes, format="rgba" if codes.shape[2] == 4 else "rgb24")
+            picture.pts, picture.time_base = (index if times is None else times[index]), tick
+            container.mux(stream.encode(picture))
+        container.mux(stream.encode(None))
+    return path
+
+
+@pytest.mark.parametrize(
+    ("aspect", "size"), [((4, 3), (171, 96)), ((1, 2), (128, 192)), ((64, 65), (128, 98))]
+)
+def test_pixels_become_square_and_it_is_said(tmp_path, aspect, size):
+    ramp = np.linspace(0, 255, 128)[None, :, None] + np.zeros((96, 128, 3))
+    path = encoded(
+        tmp_path / "a.mp4",
+        [ramp.astype(np.uint8)] * 2,
+        "libx264rgb",
+        "rgb24",
+        options={"crf": "0"},
+        aspect=Fraction(*aspect),
+    )
+    info = video_info(path)
+    assert info.size == size
+    assert f"pixels of aspect {aspect[0]}:{aspect[1]}" in info.notes[0]
+    image = next(read_frames(path))
+    assert image.shape == (size[1], size[0], 3)
+    wanted = (np.arange(size[0]) + 0.5) * 128 / size[0] - 0.5  # pixel centres of the stored frame
+    inner = slice(4, -4)  # px; at the ends the cubic kernel repeats the border
+    assert_allclose(
+        image[40, inner, 1] * 255, ramp[0, :, 1].take(0) + wanted[inner] * 255 / 127, atol=1.5
+    )  # codes
+
+
+def test_nearly_square_pixels_are_left_alone_and_absurd_ones_refused(tmp_path):
+    frames = [np.full((96, 128, 3), 90, np.uint8)] * 2
+    info = video_info(
+        encoded(
+            tmp_path / "a.mp4", frames, "libx264rgb", "rgb24", options={"crf": "0"}, aspect=Fraction(300, 301)
+        )
+    )
+    assert (info.size, info.notes) == ((128, 96), ())
+    with pytest.raises(BadInput, match="pixels of aspect 9:1; expected 1:4 to 4:1"):
+        video_info(
+            encoded(
+                tmp_path / "b.mp4", frames, "libx264rgb", "rgb24", options={"crf": "0"}, aspect=Fraction(9, 1)
+            )
+        )
+
+
+@pytest.mark.parametrize(
+    ("name", "codec", "pixels"),
+    [
+        ("a.mov", "qtrle", "argb"),
+        ("a.mkv", "ffv1", "bgra"),
+        ("a.webm", "libvpx-vp9", "yuva420p"),
+        ("a.webm", "libvpx", "yuva420p"),
+    ],
+)
+def test_alpha_is_refused_unless_opaque_as_in_a_png(tmp_path, name, codec, pixels):
+    options = {"auto-alt-ref": "0", "crf": "4", "b": "4M"} if "vpx" in codec else {}
+    colour = np.full((64, 64, 3), (200, 120, 90), np.uint8)
+    frames = [np.dstack([colour, np.full((64, 64), 255, np.uint8)]) for _ in range(3)]
+    encoded(tmp_path / name, frames, codec, pixels, options=options)
+    assert len(list(read_frames(tmp_path / name))) == 3
+    frames[2][20:40, 20:40, 3] = 60
+    encoded(tmp_path / name, frames, codec, pixels, options=options)
+    with pytest.raises(BadInput, match=r"has an alpha channel that is not opaque \(minimum 0\.2"):
+        list(read_frames(tmp_path / name))
+
+
+@pytest.mark.parametrize("seed", range(40))
+def test_a_flipped_bit_in_a_lossless_video_is_noticed_though_libav_reads_on(flipped, tmp_path, seed):
+    content, packets = flipped
+    rng = np.random.default_rng(seed)
+    packet = packets[rng.integers(len(packets))]
+    place = content.index(packet) + int(rng.integers(len(packet)))
+    damaged = bytearray(content)
+    damaged[place] ^= 1 << rng.integers(8)
+    (tmp_path / "a.mkv").write_bytes(damaged)
+    with pytest.raises(UnreadableFile, match=r"a\.mkv is damaged"):
+        video_info(tmp_path / "a.mkv")
+
+
+@pytest.fixture(scope="module")
+def flipped(tmp_path_factory):
+    """The bytes of a lossless video, and its packets."""
+    path = tmp_path_factory.mktemp("flipped") / "a.mkv"
+    write_video(path, noise(6), encoding="lossless")
+    with av.open(str(path)) as container:
+        packets = [bytes(packet) for packet in container.demux(video=0) if packet.size]
+    return path.read_bytes(), packets
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        {"level": "1"},
+        {"level": "3", "slices": "4", "slicecrc": "0"},
+        {"level": "3", "slices": "9", "slicecrc": "1", "coder": "range_def"},
+        {"level": "3", "slices": "4", "slicecrc": "1", "g": "3"},
+    ],
+)
+def test_ffv1_of_other_encoders_is_read_with_and_without_checksums(tmp_path, options):
+    frames = [np.rint(frame * 255).astype(np.uint8) for frame in noise(7)]
+    path = encoded(tmp_path / "a.mkv", frames, "ffv1", "bgr0", options=options)
+    for image, codes in zip(read_frames(path), frames, strict=True):
+        assert_array_equal(np.rint(image * 255), codes)
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_a_flipped_bit_in_hevc_with_digests_is_noticed(tmp_path, seed):
+    frames = [np.rint(frame * 255).astype(np.uint8) for frame in noise(6, 64, 64)]
+    options = {"x265-params": "hash=1:log-level=none", "crf": "20"}
+    path = encoded(tmp_path / "a.mkv", frames, "libx265", "yuv420p", options=options)
+    content = bytearray(path.read_bytes())
+    with av.open(str(path)) as container:
+        packets = [bytes(packet) for packet in container.demux(video=0) if packet.size]
+    rng = np.random.default_rng(seed)
+    packet = packets[rng.integers(1, len(packets))]
+    content[content.index(packet) + len(packet) // 2 + seed] ^= 4
+    path.write_bytes(content)
+    with pytest.raises(UnreadableFile, match=r"a\.mkv is damaged"):
+        video_info(path)
+
+
+GREY = [np.full((64, 64, 3), 40 + 10 * index, np.uint8) for index in range(12)]
+
+
+@pytest.mark.parametrize(
+    ("name", "codec", "tick", "times", "rate_hz"),
+    [
+        ("even.mp4", "libx264", (1, 12800), [512 * index for index in range(12)], 25.0),
+        ("ntsc.mkv", "ffv1", (1, 1000), [round(1001 * index / 30) for index in range(12)], 30000 / 1001),
+        ("lost.avi", "mjpeg", (1, 25), [0, 1, 2, 3, 4, 7, 8, 9, 10, 11, 12, 13], 25.0),
+        ("phone.mp4", "libx264", (1, 600), [0, 20, 40, 61, 85, 101, 120, 139, 160, 181, 200, 260], 25.0),
+    ],
+)
+def test_times_of_frames_are_those_of_the_file(tmp_path, name, codec, tick, times, rate_hz):
+    pixels = {"ffv1": "bgr0", "mjpeg": "yuvj420p"}.get(codec, "yuv420p")
+    rate = Fraction(30000, 1001) if name == "ntsc.mkv" else 25
+    path = encoded(tmp_path / name, GREY, codec, pixels, times, tick=Fraction(*tick), rate=rate)
+    info = video_info(path)
+    assert info.frame_count == len(GREY)
+    assert_allclose(
+        info.times_s, np.array(times) * tick[0] / tick[1], atol=0.0011
+    )  # s; Matroska's milliseconds
+    if name == "phone.mp4":  # no header holds: the mean rate
+        rate_hz = 11 / (260 / 600)
+    assert info.frame_rate_hz == pytest.approx(rate_hz, rel=1e-9)
+    is_even = bool(np.ptp(np.diff(info.times_s)) < 1e-9)  # s; rounding of times that are exactly even
+    assert is_even == (name in ("even.mp4", "ntsc.mkv"))
+
+
+def vint(number):
+    width = next(width for width in range(1, 9) if number < (1 << 7 * width) - 1)
+    return (number | (1 << 7 * width)).to_bytes(width, "big")
+
+
+def element(name, content):
+    return bytes.fromhex(name) + vint(len(content)) + content
+
+
+def whole(number):
+    return number.to_bytes(max(1, (number.bit_length() + 7) // 8), "big")
+
+
+def recorder_webm(path, frames, times_ms):
+    """Write a WebM as a browser's MediaRecorder does: times in milliseconds, neither a rate nor a length (RFC 9559)."""
+    options = {"b": "2M", "auto-alt-ref": "0", "lag-in-frames": "0"}
+    encoded(path, frames, "libvpx", "yuv420p", options=options)
+    with av.open(str(path)) as container:
+        packets = [(bytes(one), one.is_keyframe) for one in container.demux(video=0) if one.size]
+    height, width = frames[0].shape[:2]
+    head = element(
+        "1A45DFA3", element("4282", b"webm") + element("4287", whole(4)) + element("4285", whole(2))
+    )
+    size = element("E0", element("B0", whole(width)) + element("BA", whole(height)))
+    track = (
+        element("D7", whole(1))
+        + element("73C5", whole(1))
+        + element("83", whole(1))
+        + element("86", b"V_VP8")
+    )
+    content = head + bytes.fromhex("18538067") + b"\x01" + b"\xff" * 7
+    content += element("1549A966", element("2AD7B1", whole(1_000_000)))
+    content += element("1654AE6B", element("AE", track + size))
+    content += bytes.fromhex("1F43B675") + b"\x01" + b"\xff" * 7 + element("E7", whole(0))
+    for (data, is_key), time_ms in zip(packets, times_ms, strict=True):
+        content += element("A3", b"\x81" + struct.pack(">h", time_ms) + bytes([0x80 * is_key]) + data)
+    path.write_bytes(content)
+
+
+def test_a_recording_without_a_rate_has_that_of_its_times(tmp_path):
+    times_ms = [0, 37, 84, 120, 155, 204, 240, 282, 317, 360, 403, 440]
+    recorder_webm(tmp_path / "a.webm", GREY, times_ms)
+    info = video_info(tmp_path / "a.webm")
+    assert info.frame_rate_hz == pytest.approx(11 / 0.44)
+    assert_allclose(info.times_s, np.array(times_ms) / 1000)
+
+
+def test_a_raw_dv_stream_has_the_rate_of_its_times_and_not_60000_hz(tmp_path):
+    frames = [np.full((576, 720, 3), 40 + 10 * index, np.uint8) for index in range(4)]
+    encoded(tmp_path / "a.avi", frames, "dvvideo", "yuv420p")
+    with av.open(str(tmp_path / "a.avi")) as container:
+        (tmp_path / "a.dv").write_bytes(b"".join(bytes(packet) for packet in container.demux(video=0)))
+    with av.open(str(tmp_path / "a.dv")) as container:
+        assert container.streams.video[0].average_rate == 60000
+    info = video_info(tmp_path / "a.dv")
+    assert (info.frame_rate_hz, info.frame_count, info.interlaced) == (25.0, 4, 4)
+    assert info.size == (768, 576)  # px; 720 pixels of 16:15
+
+
+def test_times_that_do_not_rise_are_unknown_and_the_header_counts(tmp_path):
+    path = encoded(tmp_path / "a.avi", GREY, "libx264", "yuv420p", rate=50, tick=Fraction(1, 50))
+    info = video_info(path)  # AVI keeps the order of decoding only
+    assert (info.frame_rate_hz, info.times_s) == (50.0, None)
+
+
+@pytest.mark.parametrize("rate_hz", [0.01, 10_000.0])
+@pytest.mark.parametrize("name", ["a.mkv", "a.mp4"])
+def test_rates_are_written_from_time_lapse_to_high_speed(tmp_path, rate_hz, name):
+    write_video(tmp_path / name, noise(3), frame_rate_hz=rate_hz, encoding="lossless")
+    assert video_info(tmp_path / name).frame_rate_hz == pytest.approx(rate_hz, rel=1e-6)
+
+
+def test_fields_become_whole_frames(tmp_path):
+    fields = [np.full((64, 64, 3), 60, np.uint8) for _ in range(16)]
+    for index, field in enumerate(fields):
+        field[:, 8 + 2 * index : 24 + 2 * index] = 220  # a bar that moves in every field
+    woven = [
+        np.where(np.arange(64)[:, None, None] % 2, early, late)
+        for early, late in zip(fields[::2], fields[1::2], strict=True)
+    ]
+    options = {
+        "crf": "1",
+        "flags": "+ildct+ilme",
+        "x264-params": "bff=1",
+    }  # the lower rows are the first field
+    path = encoded(
+        tmp_path / "a.mp4", [frame.astype(np.uint8) for frame in woven], "libx264", "yuv420p", options=options
+    )
+    assert video_info(path).interlaced == 8
+    plain = list(read_frames(path))
+    smooth = list(read_frames(path, deinterlace=True))
+    assert len(smooth) == len(plain) == 8
+
+    def comb(images):
+        return float(np.mean([np.abs(np.diff(image[..., 1], axis=0)).mean() for image in images[1:-1]]))
+
+    assert comb(plain) > 5 * comb(smooth)
+    for image, early in zip(smooth[1:-1], fields[2:-2:2], strict=True):  # the time of the first field
+        assert np.abs(image - early / np.float32(255)).mean() < 2 / 255  # codes; H.264 beside hard edges
 
 
 @pytest.mark.parametrize(
