@@ -7,6 +7,7 @@ profile of sRGB itself changes nothing. Whatever cannot be converted is refused.
 
 from __future__ import annotations
 
+import os
 import struct
 import tempfile
 from functools import lru_cache
@@ -19,7 +20,7 @@ import OpenImageIO as oiio
 from morphspace.arrays import AnyArray
 from morphspace.errors import BadInput
 
-CONFIG = "ocio://default"  # OpenColorIO's built-in colour spaces, whatever $OCIO names
+BUILT_IN = "ocio://default"  # OpenColorIO's own colour spaces
 XYZ, SRGB = "CIE XYZ-D65 - Display-referred", "sRGB - Display"
 SAME = 1 / 255  # one 8-bit code; profiles of sRGB with tabulated curves differ from the formula by less
 PROBES = 9  # levels per channel at which a profile is compared with sRGB
@@ -72,7 +73,7 @@ def from_space(path: Path, colour: AnyArray, name: str) -> AnyArray:
     if name not in CONVERTED:
         raise BadInput(f"{path} has the colour space {name}; expected sRGB. {ADVICE}")
     done = oiio.ImageBufAlgo.colorconvert(
-        _buffer(colour), CONVERTED[name], SRGB_SCENE, unpremult=False, colorconfig=CONFIG, nthreads=1
+        _buffer(colour), CONVERTED[name], SRGB_SCENE, unpremult=False, colorconfig=_config(), nthreads=1
     )
     return _values_of(path, done, name)
 
@@ -108,15 +109,20 @@ def _converted(path: Path, colour: AnyArray, profile: bytes) -> AnyArray:
         file = Path(folder) / "profile.icc"
         file.write_bytes(profile)
         seen = oiio.ImageBufAlgo.ociofiletransform(
-            _buffer(colour), str(file), unpremult=False, inverse=True, colorconfig=CONFIG, nthreads=1
+            _buffer(colour), str(file), unpremult=False, inverse=True, colorconfig=_config(), nthreads=1
         )
     if seen.has_error:
         seen.geterror()
         raise BadInput(
             f"{path} has a colour profile that OpenColorIO cannot use; expected primaries and curves. {ADVICE}"
         )
-    done = oiio.ImageBufAlgo.colorconvert(seen, XYZ, SRGB, unpremult=False, colorconfig=CONFIG, nthreads=1)
+    done = oiio.ImageBufAlgo.colorconvert(seen, XYZ, SRGB, unpremult=False, colorconfig=_config(), nthreads=1)
     return _values_of(path, done, "of its profile")
+
+
+def _config() -> str:
+    """Return the name of the built-in spaces if $OCIO names others; empty otherwise, as a name is loaded each time."""
+    return BUILT_IN if os.environ.get("OCIO") else ""
 
 
 def _buffer(colour: AnyArray) -> Any:

@@ -4,7 +4,10 @@ The ICC profiles are written here from published primaries (SMPTE EG 432-1, Adob
 """
 
 import io
+import os
 import struct
+import subprocess
+import sys
 import zlib
 
 import numpy as np
@@ -112,6 +115,20 @@ def test_a_profile_keeps_the_depth_of_the_file(tmp_path):
     assert target.open(str(tmp_path / "a.tif"), spec) and target.write_image(deep) and target.close()
     image = read_image(tmp_path / "a.tif")
     assert_allclose(image, 30_001 / 65535, atol=2e-5)  # grey is grey in both; the primaries have five digits
+
+
+def test_the_colour_spaces_of_other_programs_do_not_matter(tmp_path):
+    """$OCIO names the spaces of a film studio for all programs of a machine; OpenImageIO reads it once."""
+    Pillow.fromarray(CODES).save(tmp_path / "a.png", icc_profile=P3)
+    read = "import sys; from morphspace.io.images import read_image; print(read_image(sys.argv[1]).tobytes().hex())"
+    words = [sys.executable, "-c", read, str(tmp_path / "a.png")]
+    (tmp_path / "raw.ocio").write_text(
+        "ocio_profile_version: 2\nroles: {default: raw}\ndisplays: {d: [!<View> {name: v, colorspace: raw}]}\n"
+        "colorspaces: [!<ColorSpace> {name: raw, isdata: true}]\n"
+    )
+    for named in (tmp_path / "raw.ocio", "ocio://default"):
+        found = subprocess.run(words, env={**os.environ, "OCIO": str(named)}, capture_output=True, text=True)
+        assert found.stdout.strip() == read_image(tmp_path / "a.png").tobytes().hex(), found.stderr
 
 
 @pytest.mark.parametrize("name", ["a.png", "a.tif", "a.webp"])
