@@ -56,6 +56,7 @@ Clip = Annotated[
 ]
 Folder = Annotated[Path, Option("-o", "--output"), Help("The output folder.")]
 Crop = Annotated[tuple[int, int, int, int], Separated(",", "10,20,200,240"), Option(metavar="X,Y,W,H")]
+Place = Annotated[tuple[float, float], Separated(",", "320,200"), Option(metavar="X,Y")]
 Size = Annotated[tuple[int, int], Separated("xX", "200x240"), Option(metavar="WxH")]
 FrameCrop = Annotated[Crop | None, Help("Cut this box out of every frame first, px.")]
 LEAST_RATE_HZ = 0.01  # Hz; a picture in 100 s of a time-lapse

@@ -23,7 +23,7 @@ import numpy as np
 
 from morphspace.arrays import Affine, AnyArray, Displacement, Image, Points
 from morphspace.errors import BadInput
-from morphspace.face.detector import Detector, load_detector
+from morphspace.face.detector import Detector, load_detector, person_of
 from morphspace.face.mesh import (
     FACE_OUTLINE,
     LEFT_BROW,
@@ -128,7 +128,9 @@ def anchor_of_build(reference: Image, provenance: Mapping[str, Any]) -> FaceAnch
     entry = provenance.get("landmarks")
     if not (isinstance(entry, Mapping) and entry.get("reference_has_face")):
         return None
-    anchor = anchor_on(np.array(reference), load_detector())
+    found_by = entry.get("detector")
+    chosen = person_of(found_by.get("person") if isinstance(found_by, Mapping) else None)
+    anchor = anchor_on(np.array(reference), load_detector(person=chosen))
     if anchor is None:
         raise BadInput(
             "the detector finds no face in the reference, where the build found one. Build the model again with this "

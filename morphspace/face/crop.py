@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from morphspace.arrays import Points
 from morphspace.errors import BadInput
 from morphspace.face.detector import Detector
 from morphspace.face.mesh import FacePoints
@@ -21,6 +22,8 @@ from morphspace.steps import Step, Steps, in_order, spread
 CROP_FRAMES = 24  # frames of a clip, evenly spread, in which the face is detected
 # Eye distances from the middle of the eyes. The crown is 1.5 to 1.8 above, the chin 1.8 to 1.9 below.
 ABOVE, BELOW, BESIDE = 1.95, 2.35, 1.75
+FACE_WIDTH = 2.2  # eye distances, of the widest part of a face
+NAMED_PLACES = 3  # further faces whose places are listed
 MOST_OF_PATH = (5, 95)  # percentiles of the head's position; one false detection must not decide
 
 
@@ -35,12 +38,15 @@ class FoundCrop:
         Median eye distance, px.
     frames, found : int
         Frames that were searched, and those with a face.
+    notes : tuple of str
+        That some frames show several faces.
     """
 
     box: tuple[int, int, int, int]
     eyes_px: float
     frames: int
     found: int
+    notes: tuple[str, ...] = ()
 
     @property
     def document(self) -> dict[str, Any]:
@@ -65,9 +71,10 @@ def crop_steps(clip: Clip, detector: Detector, aspect: float) -> Steps[FoundCrop
     Raises
     ------
     BadInput
-        If a face was found in fewer than half of the frames.
+        If a face was found in fewer than half of the frames, or the face changes place among several.
     """
     searched = spread(len(clip), CROP_FRAMES)
+    names = [clip.frame_names[place] for place in searched]
     faces = []
     for done, face in enumerate(in_order(detector, clip.images(searched)), 1):
         faces.append(face)
@@ -78,7 +85,68 @@ def crop_steps(clip: Clip, detector: Detector, aspect: float) -> Steps[FoundCrop
             f"a face was found in {len(found)} of {len(searched)} frames of {clip.name}; expected at least half. Give "
             "--crop x,y,w,h, or omit --crop"
         )
-    return FoundCrop(head_crop(found, clip.size, aspect), median_eyes_px(found), len(searched), len(found))
+    check_one_person(names, faces)
+    notes = several_notes(names, faces)
+    return FoundCrop(
+        head_crop(found, clip.size, aspect), median_eyes_px(found), len(searched), len(found), notes
+    )
+
+
+def several_notes(names: Sequence[str], faces: Sequence[FacePoints | None]) -> tuple[str, ...]:
+    """Note how many frames show several faces, and where these are in the frame that shows most."""
+    several = [place for place, face in enumerate(faces) if face is not None and len(face.others)]
+    if not several:
+        return ()
+    place = max(several, key=lambda place: len(_others(faces[place])))
+    others = _others(faces[place])
+    where = " and ".join(f"{x:.0f},{y:.0f}" for x, y in others[:NAMED_PLACES].tolist())
+    return (
+        f"{len(several)} of {len(names)} frames show several faces: in {names[place]} the one at "
+        f"{_words(faces[place])} px is used, of {len(others)} more at {where}. Give --person or --crop for another",
+    )
+
+
+def check_one_person(
+    names: Sequence[str], faces: Sequence[FacePoints | None], *, is_video: bool = False
+) -> None:
+    """Check that the face does not jump to another person from one frame to the next.
+
+    A jump is a movement by more than the width of the face, where one of the two frames shows several faces, or in a
+    video. Stills of one face each may show it anywhere.
+
+    Raises
+    ------
+    BadInput
+        With both frames and places.
+    """
+    last: int | None = None
+    for place, face in enumerate(faces):
+        if face is None:
+            continue
+        before = None if last is None else faces[last]
+        if last is not None and before is not None and (is_video or len(face.others) or len(before.others)):
+            moved_px = float(np.hypot(*(_middle(face) - _middle(before))))
+            width_px = FACE_WIDTH * max(face.interocular_px, before.interocular_px)
+            if moved_px > width_px:
+                raise BadInput(
+                    f"the face jumps from {_words(before)} px in {names[last]} to {_words(face)} px in {names[place]}; "
+                    f"expected one person, who moves by less than the width of the face ({width_px:.0f} px). Give "
+                    "--person left, right or x,y, or --crop x,y,w,h"
+                )
+        last = place
+
+
+def _others(face: FacePoints | None) -> Points:
+    return np.zeros((0, 2)) if face is None else face.others
+
+
+def _middle(face: FacePoints) -> Points:
+    """Return the middle of the eyes (2,) px."""
+    return np.asarray(face.faceframe().points[:2].mean(axis=0))
+
+
+def _words(face: FacePoints | None) -> str:
+    return "" if face is None else "{:.0f},{:.0f}".format(*_middle(face))
 
 
 def head_crop(
@@ -89,7 +157,7 @@ def head_crop(
     `aspect` is width over height. A box beyond the picture's edge is moved inside, and reduced if it is too large.
     """
     eyes = median_eyes_px(faces)
-    middles = np.array([face.faceframe().points[:2].mean(axis=0) for face in faces])
+    middles = np.array([_middle(face) for face in faces])
     first, last = np.percentile(middles, MOST_OF_PATH, axis=0)
     low = first - np.array([BESIDE, ABOVE]) * eyes
     high = last + np.array([BESIDE, BELOW]) * eyes

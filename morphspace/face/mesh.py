@@ -8,7 +8,7 @@ subject's right, the image's left.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -96,6 +96,8 @@ class FacePoints:
         The meaning of each point.
     depth : array (n,) px, or None
         Estimated distance behind the face's centre, smaller nearer to the camera; None if unknown.
+    others : array (m, 2) px
+        The middles of further faces in the image.
 
     Raises
     ------
@@ -107,6 +109,7 @@ class FacePoints:
     score: float
     scheme: str = SCHEME
     depth: AnyArray | None = None
+    others: Points = field(default_factory=lambda: np.zeros((0, 2)))
 
     def __post_init__(self) -> None:
         expected = (POINT_COUNT, 2) if self.scheme == SCHEME else (len(self.points), 2)

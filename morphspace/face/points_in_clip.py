@@ -19,7 +19,7 @@ from morphspace.face.mesh import FacePoints
 from morphspace.io.framing import FrameSource, same_size
 from morphspace.steps import Step, Steps, in_order
 
-POINTS_FORMAT = "morphspace-frame-points-1"
+POINTS_FORMAT = "morphspace-frame-points-2"
 
 
 def _nothing(index: int, image: Image) -> None:
@@ -72,7 +72,14 @@ def points_steps(
 
 
 def _write(file: Path, found: FacePoints | None) -> None:
-    arrays = {} if found is None else {"points": np.asarray(found.points, np.float64)}
+    arrays = (
+        {}
+        if found is None
+        else {
+            "points": np.asarray(found.points, np.float64),
+            "others": np.asarray(found.others, np.float64),
+        }
+    )
     if found is not None and found.depth is not None:
         arrays["depth"] = np.asarray(found.depth, np.float64)
     score = None if found is None else found.score
@@ -84,4 +91,6 @@ def _read(file: Path) -> FacePoints | None:
     if not document["found"]:
         return None
     depth = np.array(arrays["depth"]) if "depth" in arrays else None
-    return FacePoints(np.array(arrays["points"]), float(document["score"]), depth=depth)
+    return FacePoints(
+        np.array(arrays["points"]), float(document["score"]), depth=depth, others=np.array(arrays["others"])
+    )

@@ -22,6 +22,7 @@ from morphspace.arrays import Affine, AnyArray, Displacement, Image, LoadingTabl
 from morphspace.errors import BadInput
 from morphspace.face import regions
 from morphspace.face.anchor import FaceAnchor, rigid_movement
+from morphspace.face.crop import check_one_person, several_notes
 from morphspace.face.detector import Detector
 from morphspace.face.expression import distance_from_neutral, expression_of
 from morphspace.face.faceframe import FaceFrame, Frame, RegistrationKind
@@ -76,6 +77,8 @@ class BuildSettings:
         Finds the face in each frame; see `build_steps`.
     anchored : bool
         Whether the flow is anchored to the detector's points.
+    is_video : bool
+        Whether the frames are those of a video, in which a face moves little from one to the next.
     """
 
     components: int = COMPONENTS
@@ -89,6 +92,7 @@ class BuildSettings:
     faceframe_index: int | None = None
     detector: Detector | None = None
     anchored: bool = False
+    is_video: bool = False
 
 
 @dataclass(frozen=True, eq=False)
@@ -188,7 +192,7 @@ def build_steps(
         components = yield from _component_pass(rows, files, shape.mask, settings)
     document = _provenance_of_build(provenance, settings, survey, choice, plan, on_reference, components)
     model = _model(source.names, settings, plan, on_reference, shape, components, document)
-    warnings = _warnings(source, choice, model)
+    warnings = _warnings(source, choice, model) + several_notes(source.names, survey.found)
     model, without_keypoints = yield from _keypoint_pass(model, settings)
     return Build(
         model=model,
@@ -245,6 +249,7 @@ def _survey_pass(source: FrameSource, settings: BuildSettings, work_folder: Path
             shrink(index, image)
         return _Survey((None,) * len(source.names), small)
     found = yield from points_steps(source, settings.detector, work_folder, also=pool, look=shrink)
+    check_one_person(source.names, found, is_video=settings.is_video)
     return _Survey(found, small)
 
 

@@ -191,11 +191,11 @@ def check_origins(output: Output) -> frozenset[str]:
 
 
 def _refuse(path: Path, verb: str) -> None:
-    what = "a folder" if path.is_dir() else "a file"
-    lost = "its content mixed with new files" if path.is_dir() else "replaced"
+    what, lost = "a file", "it would be replaced"
+    if path.is_dir():
+        what, lost = "a folder", "new files would be mixed with its content"
     raise BadInput(
-        f"{path} is {what} that no earlier {verb} wrote, and would be {lost}. Choose another output, or move "
-        f"{path.name} away"
+        f"{path} is {what} that no earlier {verb} wrote, and {lost}. Choose another output, or move {path.name} away"
     )
 
 

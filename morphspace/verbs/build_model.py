@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 from annotated_types import Ge, Gt, Le
 
 from morphspace.flow.names import DEFAULT, NAMES
-from morphspace.requests import Clip, Crop, Deinterlace, Size, declared, settings_in
+from morphspace.requests import Clip, Crop, Deinterlace, Place, Size, declared, settings_in
 from morphspace.settings import Help, OneOf, Option, Spelled
 
 if TYPE_CHECKING:
@@ -49,6 +49,11 @@ class BuildModelRequest:
             "`morphspace models fetch` has been run; anchor also holds the flow to the landmarks."
         ),
     ] = "auto"
+    person: Annotated[
+        Literal["largest", "left", "right"] | Place,
+        Option(metavar="largest|left|right|X,Y"),
+        Help("Which face is used if frames show several; X,Y is a place in the frames, px."),
+    ] = "largest"
     mask: Annotated[Path | None, Help("Grey picture of the reference's size, white on the face.")] = None
     reference: Annotated[
         str | None, Option(metavar="FILE"), Help("The reference frame [default: chosen, with the reason].")

@@ -143,7 +143,7 @@ ANCHORED = {"landmarks": {"reference_has_face": True, "anchored": True}}
 
 def test_a_model_reads_new_frames_as_its_build_did_where_the_networks_are(model, monkeypatch):
     detector = Detector(lambda image: FacePoints(points(), 0.9), {"version": 1})
-    monkeypatch.setattr(anchor, "load_detector", lambda: detector)
+    monkeypatch.setattr(anchor, "load_detector", lambda person: detector)
     assert anchor_of_build(model.reference, {}) is None
     assert anchor_of_build(model.reference, {"landmarks": None}) is None
     assert anchor_of_build(model.reference, ANCHORED) is not None
@@ -162,7 +162,7 @@ def test_a_model_reads_new_frames_as_its_build_did_where_the_networks_are(model,
     held.__dict__["anchor"] = FaceAnchor(moved, FacePoints(points(), 0.9))
     started = held.flow_from_reference(np.array(model.reference), None)
     assert_allclose(started.displacement[20:50, 20:40], plain.displacement[20:50, 20:40], atol=0.2)  # px: DIS
-    monkeypatch.setattr(anchor, "load_detector", lambda: Detector(lambda image: None, {"version": 2}))
+    monkeypatch.setattr(anchor, "load_detector", lambda person: Detector(lambda image: None, {"version": 2}))
     with pytest.raises(BadInput, match="no face in the reference, where the build found one"):
         anchor_of_build(model.reference, ANCHORED)
 

@@ -6,12 +6,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from morphspace.errors import BadInput
-from morphspace.face.crop import crop_steps, head_crop
+from morphspace.face.crop import check_one_person, crop_steps, head_crop, several_notes
 from morphspace.face.detector import Detector, detector_for
 from morphspace.face.mesh import LEFT_LIDS, PHILTRUM, POINT_COUNT, RIGHT_LIDS, FacePoints
 from morphspace.io.clips import open_clip
 from morphspace.io.images import write_image
-from morphspace.steps import result_of
+from morphspace.steps import result_of, using_workers
 
 PICTURE = (640, 480)
 ABOVE, BELOW, BESIDE = 1.95, 2.35, 1.75  # eye distances, as the module documents them
@@ -92,3 +92,45 @@ def test_without_the_detectors_files_a_build_says_in_one_line_how_to_get_better(
     assert detector_for("none") == (None, ())
     with pytest.raises(BadInput, match=r"landmarks is 'yes'; expected one of auto, anchor, none"):
         detector_for("yes")
+
+
+def beside(face, *places):
+    return FacePoints(
+        face.points, face.score, depth=face.depth, others=np.array(places, float).reshape(-1, 2)
+    )
+
+
+NAMES = ("a", "b", "c")
+
+
+def test_a_face_that_jumps_to_another_person_is_refused_with_both_places():
+    first, second = face_at(100, 80, 40), face_at(320, 80, 40)
+    both = [beside(first, (320, 80)), None, beside(second, (100, 80))]
+    with pytest.raises(BadInput, match=r"jumps from 100,80 px in a to 320,80 px in c.*\(88 px\).*--person"):
+        check_one_person(NAMES, both)
+    with pytest.raises(BadInput, match="jumps"):
+        check_one_person(NAMES, [first, second, second], is_video=True)
+
+
+def test_stills_of_one_face_each_and_heads_that_move_are_no_jump():
+    check_one_person(NAMES, [face_at(100, 80, 40), face_at(320, 80, 40), None])
+    near = [
+        beside(face_at(100 + 80 * step, 80, 40), (900, 900)) for step in range(3)
+    ]  # a step is 2 eye distances
+    check_one_person(NAMES, near, is_video=True)
+
+
+def test_several_faces_are_counted_and_located():
+    face = face_at(100, 80, 40)
+    assert several_notes(NAMES, [face, None, face]) == ()
+    (note,) = several_notes(NAMES, [beside(face, (320, 80)), beside(face, (320, 80), (500, 60)), face])
+    assert note.startswith("2 of 3 frames show several faces: in b the one at 100,80 px is used, of 2 more")
+    assert "at 320,80 and 500,60" in note
+
+
+def test_a_clip_whose_largest_face_alternates_is_not_cropped_between_two_people(tmp_path):
+    clip_folder(tmp_path, 4)
+    faces = iter([beside(face_at(x, 30, 12), (150 - x, 30)) for x in (30, 120, 30, 120)])
+    detector = Detector(lambda image: next(faces), {"of": "this test"})
+    with using_workers(1), pytest.raises(BadInput, match="--person left, right or x,y"):
+        result_of(crop_steps(open_clip([tmp_path]), detector, 0.8))

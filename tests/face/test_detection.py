@@ -13,7 +13,7 @@ from skimage import data as pictures
 
 from morphspace.errors import BadInput
 from morphspace.face.detector import Detector, MissingModels, load_detector, models_present
-from morphspace.face.detector.boxes import FaceBox, anchors, decode, main_face, overlap, suppress
+from morphspace.face.detector.boxes import FaceBox, anchors, decode, in_order_of, overlap, person_of, suppress
 from morphspace.face.detector.crops import Crop, along, whole_image
 from morphspace.face.detector.detect import EYES, LID_ORDER
 from morphspace.face.mesh import (
@@ -117,11 +117,22 @@ def test_boxes_show_one_face_where_they_share_three_tenths(right_px, count):
     assert len(suppress([box(0, 0, 10, 0.9), box(right_px, 0, 10, 0.8)])) == count
 
 
-def test_main_face_is_the_largest_sure_one():
-    faces = [box(0, 0, 10, 0.95), box(50, 50, 30, 0.8), box(0, 50, 90, 0.69)]
-    assert main_face(faces, 0.7) is faces[1]
-    assert main_face(faces, 0.99) is None
-    assert main_face([], 0.7) is None
+def test_the_wanted_person_is_first():
+    left, large, right = faces = [box(0, 0, 10, 0.95), box(50, 50, 30, 0.8), box(90, 50, 20, 0.9)]
+    assert in_order_of("largest", faces) == [large, right, left]
+    assert in_order_of("left", faces) == [left, large, right]
+    assert in_order_of("right", faces) == [right, large, left]
+    assert in_order_of((102, 61), faces)[0] is right and in_order_of((60, 60), faces)[0] is large
+    assert in_order_of("largest", []) == []
+
+
+@pytest.mark.parametrize("person", ["largest", "left", "right", (3.0, 4.5)])
+def test_the_person_is_read_back_from_an_identity(person):
+    assert person_of(person if isinstance(person, str) else list(person)) == person
+    assert person_of(None) == "largest"
+    for wrong in ("middle", [1], ["1", "2"], 3):
+        with pytest.raises(BadInput, match="the person is"):
+            person_of(wrong)
 
 
 # Crops

@@ -733,7 +733,7 @@ def test_files_that_are_not_ours_are_not_written_over(work, model, name):
     (work / "out").mkdir()
     (work / "out" / name).write_text('{"verb": "mimic"}')
     with pytest.raises(
-        BadInput, match=f"{name} is a file that no earlier measure-mimicry wrote, and would be replaced"
+        BadInput, match=f"{name} is a file that no earlier measure-mimicry wrote, and it would be replaced"
     ):
         measured(work, given, given)
     assert {path.name: path.read_text() for path in (work / "out").iterdir()} == {name: '{"verb": "mimic"}'}

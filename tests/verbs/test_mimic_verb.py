@@ -329,7 +329,7 @@ def test_a_driving_frame_is_looked_at_once(work, actor, monkeypatch):
         return points(yaw_deg=5)
 
     detector, other = (Detector(find, {"version": version}) for version in (1, 2))
-    monkeypatch.setattr(anchor, "load_detector", lambda: detector)
+    monkeypatch.setattr(anchor, "load_detector", lambda person: detector)
     monkeypatch.setattr("morphspace.face.detector.own_detector", lambda: Detector(find, {"version": 1}))
     run(work, source="held", frames=given)
     assert len(looked) == 1 + 2 + 4  # the reference, both means, each frame

@@ -7,10 +7,12 @@ their scores instead of dropped, which removes most of the jitter (Bazarevsky et
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 
 from morphspace.arrays import AnyArray, Points
+from morphspace.errors import BadInput
 
 SIDE = 128  # px, of the network's square input
 GRIDS = ((16, 2), (8, 6))  # cells a side, anchors a cell
@@ -18,6 +20,10 @@ RIGHT_EYE, LEFT_EYE = 0, 1  # of the six points; then nose tip, mouth, and the t
 CANDIDATE_SCORE = 0.5  # score; boxes below are left out of the average
 OVERLAP = 0.3  # intersection over union above which two boxes show one face
 SCORE_LIMIT = 80.0  # raw score; the exponential of more overflows float32
+
+
+Person = Literal["largest", "left", "right"] | tuple[float, float]
+"""Which of several faces is used: the largest, that on the left or right of the image, or the nearest to x, y px."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,6 +43,11 @@ class FaceBox:
     corners: Points
     marks: Points
     score: float
+
+    @property
+    def middle(self) -> Points:
+        """Return the middle of the box (2,)."""
+        return np.asarray(self.corners.mean(axis=0))
 
     @property
     def area(self) -> float:
@@ -113,7 +124,23 @@ def suppress(candidates: list[FaceBox]) -> list[FaceBox]:
     return faces
 
 
-def main_face(faces: list[FaceBox], least_score: float) -> FaceBox | None:
-    """Return the face with the largest product of area and score among those that reach `least_score`, or None."""
-    sure = [face for face in faces if face.score >= least_score]
-    return max(sure, key=lambda face: face.area * face.score, default=None)
+def person_of(entry: object) -> Person:
+    """Return the person that a detector's identity names; None stands for the largest. Raises `BadInput`."""
+    match entry:
+        case None | "largest":
+            return "largest"
+        case "left" | "right":
+            return entry
+        case [int() | float() as x, int() | float() as y]:
+            return float(x), float(y)
+    raise BadInput(f"the person is {entry!r}; expected largest, left, right or two numbers x, y. Build again")
+
+
+def in_order_of(person: Person, faces: list[FaceBox]) -> list[FaceBox]:
+    """Sort faces so that the wanted person is first: by the product of area and score, from a side, or from a place."""
+    if person == "largest":
+        return sorted(faces, key=lambda face: -face.area * face.score)
+    if isinstance(person, str):
+        sign = 1 if person == "left" else -1
+        return sorted(faces, key=lambda face: sign * float(face.middle[0]))
+    return sorted(faces, key=lambda face: float(np.hypot(*(face.middle - person))))

@@ -17,7 +17,7 @@ import numpy as np
 from morphspace.arrays import AnyArray, Image, Points
 from morphspace.errors import BadInput
 from morphspace.face.detector import boxes
-from morphspace.face.detector.boxes import FaceBox
+from morphspace.face.detector.boxes import FaceBox, Person
 from morphspace.face.detector.crops import Crop, along, whole_image
 from morphspace.face.detector.models import ORIGIN, check_models, models_folder, models_present
 from morphspace.face.detector.networks import Network, NetworkPool, NetworkSet
@@ -96,13 +96,15 @@ class Detector:
         return dict(self.identity) == dict(other.identity)
 
 
-def load_detector(folder: Path | None = None) -> Detector:
+def load_detector(folder: Path | None = None, person: Person = "largest") -> Detector:
     """Load the package's own detector.
 
     Parameters
     ----------
     folder : Path, optional
         Of the networks; None for `models_folder()`.
+    person : Person
+        Which face is found if an image shows several.
 
     Raises
     ------
@@ -113,7 +115,8 @@ def load_detector(folder: Path | None = None) -> Detector:
     check_models(folder)
     networks = {file.name: file.sha256 for file in ORIGIN.files}
     identity = {"scheme": SCHEME, "version": DETECTION_VERSION, "networks": networks}
-    return Detector(partial(_find_face, NetworkPool(folder)), identity)
+    chosen = {} if person == "largest" else {"person": person if isinstance(person, str) else list(person)}
+    return Detector(partial(_find_face, NetworkPool(folder), person), {**identity, **chosen})
 
 
 def own_detector() -> Detector | None:
@@ -121,8 +124,8 @@ def own_detector() -> Detector | None:
     return load_detector() if models_present() else None
 
 
-def detector_for(landmarks: str) -> tuple[Detector | None, tuple[str, ...]]:
-    """Load the detector for a build with this setting of `landmarks`.
+def detector_for(landmarks: str, person: Person = "largest") -> tuple[Detector | None, tuple[str, ...]]:
+    """Load the detector for a build with this setting of `landmarks`, for this of several persons.
 
     Returns
     -------
@@ -141,40 +144,46 @@ def detector_for(landmarks: str) -> tuple[Detector | None, tuple[str, ...]]:
         raise BadInput(f"landmarks is {landmarks!r}; expected one of {', '.join(get_args(Landmarks))}")
     if landmarks == "none":
         return None, ()
-    detector = load_detector() if landmarks == "anchor" else own_detector()
+    needed = landmarks == "anchor" or models_present()
+    detector = load_detector(person=person) if needed else None
     return detector, () if detector is not None else (WITHOUT_POINTS,)
 
 
-def _find_face(pool: NetworkPool, image: Image) -> FacePoints | None:
-    """Find the 478 points of the main face of an image (h, w, 3), px; None without a face."""
+def _find_face(pool: NetworkPool, person: Person, image: Image) -> FacePoints | None:
+    """Find the 478 points of the wanted face of an image (h, w, 3), px; None without a face."""
     if image.ndim != 3 or image.shape[2] != 3 or 0 in image.shape:
         raise BadInput(f"the image has shape {image.shape}; expected (h, w, 3)")
     if not np.isfinite(image).all():
         raise BadInput("the image holds values that are not finite. Leave this frame out")
     image = np.clip(image, 0, 1, dtype=np.float32)
     with pool.borrowed() as networks:
-        face = _find_box(networks, image)
-        if face is None:
+        faces = boxes.in_order_of(person, _find_boxes(networks, image))
+        if not faces:
             return None
+        face, *others = faces
         meshed = _find_mesh(networks, image, _crop_of_box(face))
         if meshed is None:
             return None
         points, depth = _with_irises(networks.iris, image, *meshed)
     if not (np.isfinite(points).all() and np.isfinite(depth).all()):
         return None
-    return FacePoints(points, face.score, depth=depth)
+    middles = np.array([other.middle for other in others]).reshape(-1, 2)
+    return FacePoints(points, face.score, depth=depth, others=middles)
 
 
-def _find_box(networks: NetworkSet, image: Image) -> FaceBox | None:
+def _find_boxes(networks: NetworkSet, image: Image) -> list[FaceBox]:
+    """Find the boxes of all faces of an image, at the first margin at which there is one."""
     height, width = image.shape[:2]
     for margin in MARGINS:
         crop = whole_image(width, height, boxes.SIDE, margin)
         scores, regressors = networks.face.answer(crop.cut(image) * 2 - 1)
         faces = boxes.suppress(boxes.decode(scores, regressors))
-        face = boxes.main_face(faces, LEAST_SCORE)
-        if face is not None:
-            return FaceBox(crop.in_image(face.corners), crop.in_image(face.marks), face.score)
-    return None
+        sure = [face for face in faces if face.score >= LEAST_SCORE]
+        if sure:
+            return [
+                FaceBox(crop.in_image(face.corners), crop.in_image(face.marks), face.score) for face in sure
+            ]
+    return []
 
 
 def _crop_of_box(face: FaceBox) -> Crop:
