@@ -158,7 +158,7 @@ def test_names_that_cannot_be_files_everywhere_are_refused(name):
         ({"region": "eyes"}, "expected both or neither"),
         ({"suffix": ".gif"}, "'.gif'"),
         ({"frame_rate_hz": 25.0}, "'.png'"),
-        ({"frame_rate_hz": 0.0, "suffix": ".mp4"}, "0.0 Hz"),
+        ({"frame_rate_hz": 0.0, "suffix": ".mp4"}, "is 0 Hz; expected 0.01 to 10000"),
         ({"variables": {"gain": float("inf")}}, "gain is inf"),
         ({"variables": {"gain": [1]}}, "gain is"),
     ],

@@ -200,8 +200,8 @@ def joined(steps):
         (lambda far: drawing(furthest_sd=-far), 1000.0, 1001.0),
         (lambda gain: caricatured(motion(1), motion(2), gain, WEIGHTS), 1000.0, 1001.0),
         (lambda frames: retimed(motion(1, 11), 10 / frames), 99_999, 100_001),
-        (lambda rate: Drawing("a", np.zeros((2, 1)), frame_rate_hz=rate, suffix=".mp4"), 1000.0, 1000.5),
-        (lambda rate: changed(wave(), words=[f"rate={rate}"]), 1000, 1001),
+        (lambda rate: Drawing("a", np.zeros((2, 1)), frame_rate_hz=rate, suffix=".mp4"), 10_000.0, 10_001.0),
+        (lambda rate: changed(wave(), words=[f"rate={rate}"]), 10_000, 10_001),
         (lambda rate: changed(wave(), words=[f"rate={rate}"]), 4.6, 4.5),  # two frames of 0.44 s
         (lambda end: changed(wave(), words=[f"part=0:{end}"]), 0.05, 0.04),  # two frames
         (lambda end: changed(wave(), words=[f"part={end}:1"]), 0.36, 0.37),

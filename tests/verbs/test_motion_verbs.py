@@ -264,7 +264,7 @@ def test_a_mean_trajectory_that_was_kept_serves_as_the_guide(files, tmp_path):
         ({"operations": ("loop=-1",)}, "-1 s"),
         ({"video": ".avi"}, ".mp4, .mkv"),
         ({"seed": -1}, "seed is -1; expected a whole number from 0 up"),
-        ({"frame_rate_hz": 0.0}, "frame_rate_hz is 0.0; expected a number above 0"),
+        ({"frame_rate_hz": 0.0}, "frame_rate_hz is 0.0; expected a number from 0.01 to 10000"),
         ({"model": "smile.csv"}, "Name the model first"),
         ({"output": "smile.csv"}, "would be replaced"),
         ({"output": "out.mp4"}, "ends in .mp4"),
