@@ -101,6 +101,7 @@ class Provenance(TypedDict):
     consent: NotRequired[OrNull[str]]
     licence: NotRequired[OrNull[str]]
     frame_rate_hz: NotRequired[OrNull[FrameRate]]
+    times_s: NotRequired[list[float]]
     framing: Annotated[FramingEntry, Open()]
     mask_sha256: NotRequired[OrNull[Digest]]
     inputs: NotRequired[Digests]

@@ -125,7 +125,7 @@ def build_clip(clip: Clip, asked: ClipSettings, work_folder: Path) -> Steps[tupl
     notes = [*clip.notes, *missing]
     rate_hz = clip.sidecar.frame_rate_hz
     if clip.times_s is not None and rate_hz is not None and not is_even(clip.times_s, rate_hz):
-        rest = f"the model keeps {rate_hz:g} Hz, and `encode` writes the time of each frame"
+        rest = f"the model keeps their times, and {rate_hz:g} Hz"
         notes.append(uneven_words(clip.name, clip.times_s, rest))
     crop, found_crop = asked.crop, None
     if crop == "auto":
@@ -281,6 +281,7 @@ def _provenance(
         "consent": clip.sidecar.consent,
         "licence": clip.sidecar.licence,
         "frame_rate_hz": clip.sidecar.frame_rate_hz,
+        **({} if clip.times_s is None else {"times_s": list(clip.times_s)}),
         "framing": {
             "source_size": list(framing.source_size),
             "crop": None if framing.crop is None else list(framing.crop),

@@ -146,6 +146,12 @@ class MorphModel:
         return str(self.provenance["identity"])
 
     @property
+    def training_times_s(self) -> tuple[float, ...] | None:
+        """The time of each training frame from the first, s, if the model was built from a video that has them."""
+        times_s = self.provenance.get("times_s")
+        return tuple(times_s) if times_s and len(times_s) == len(self.training.values) else None
+
+    @property
     def rank(self) -> int:
         """The number of components k."""
         return self.basis.rank

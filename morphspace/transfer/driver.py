@@ -101,6 +101,7 @@ def training_driver(source: UsedModel) -> Driver:
         given=lambda places: (np.array(loadings[place], np.float64) for place in places),
         offset=lambda name, row, found: model.offset(row),
         picture=model.render,
+        times_s=model.training_times_s,
         is_pictures=False,
     )
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -9,7 +10,6 @@ from morphspace.requests import Clip, Deinterlace, FrameCrop, Model, declared
 from morphspace.settings import Help, Option
 
 if TYPE_CHECKING:
-    from morphspace.io import clips
     from morphspace.model.loadings import Loadings
     from morphspace.model.model import MorphModel
     from morphspace.outcome import Outcome
@@ -56,7 +56,10 @@ def run(request: EncodeRequest) -> Steps[Outcome]:
             parts.append(encoded.loadings)
             yield Step("encode", len(parts), len(source.names))
         loadings = joined(model, parts)
-        written = write_loadings(request.output, loadings, model, request.model, inputs, source.clip)
+        rate_hz, times_s = source.clip.sidecar.frame_rate_hz, source.clip.times_s
+        written = write_loadings(
+            request.output, loadings, model, request.model, inputs, rate_hz=rate_hz, times_s=times_s
+        )
     furthest = float(np.abs(loadings.in_sd(model).values).max(initial=0))
     lines = (
         f"{request.output}: {len(parts)} frames, {model.rank} components of {model.identity}, in SD; the furthest "
@@ -79,27 +82,27 @@ def write_loadings(
     model: MorphModel,
     model_path: Path,
     inputs: dict[str, str],
-    clip: clips.Clip | None = None,
+    *,
+    rate_hz: float | None = None,
+    times_s: Sequence[float] | None = None,
 ) -> tuple[Path, Path]:
-    """Write loadings as a table in SD, with the times of the clip, and a sidecar that names model, rate and inputs.
+    """Write loadings as a table in SD, with the times of the frames, and a sidecar that names model, rate and inputs.
 
-    The model's rate stands in for that of a clip without one.
+    A `rate_hz` of None is replaced by the rate of the model.
     """
     from morphspace.io.tables import write_loadings_table
     from morphspace.outcome import versions
     from morphspace.storage import digest_of_file
 
-    own_hz = None if clip is None else clip.sidecar.frame_rate_hz
     document = {
         "model_id": model.model_id,
         "model_sha256": digest_of_file(model_path),
         "identity": model.identity,
         "consent": model.provenance.get("consent"),
         "licence": model.provenance.get("licence"),
-        "frame_rate_hz": own_hz or model.provenance.get("frame_rate_hz"),
+        "frame_rate_hz": rate_hz or model.provenance.get("frame_rate_hz"),
         "inputs": inputs,
         "versions": versions(),
     }
-    times_s = None if clip is None else clip.times_s
     write_loadings_table(output, loadings.in_sd(model).values, loadings.frame_names, document, times_s)
     return output, output.with_suffix(".json")

@@ -125,8 +125,9 @@ def run(request: InfoRequest) -> Steps[Outcome]:
     table = request.loadings
     check_file(table, ".csv")
     with writing(Output("info", table, (table, table.with_suffix(".json")), inputs=(request.model,))):
+        inputs = dict(origin.get("inputs") or {})
         written = write_loadings(
-            table, model.training, model, request.model, dict(origin.get("inputs") or {})
+            table, model.training, model, request.model, inputs, times_s=model.training_times_s
         )
     lines.append(f"{table}: the loadings of {len(model.training.frame_names)} frames, in SD")
     return Outcome(tuple(lines), {**document, "table": str(table)}, written=written)

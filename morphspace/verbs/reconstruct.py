@@ -59,7 +59,13 @@ def run(request: ReconstructRequest) -> Steps[Outcome]:
     with writing(guarded):
         made = yield from written_reconstruction(folder, model, whole, source, notes)
         loadings = write_loadings(
-            folder / "loadings.csv", made.loadings, whole, request.model, inputs, source.clip
+            folder / "loadings.csv",
+            made.loadings,
+            whole,
+            request.model,
+            inputs,
+            rate_hz=source.clip.sidecar.frame_rate_hz,
+            times_s=source.clip.times_s,
         )
         written = (*made.files, *loadings)
         settings = {"components": model.rank, "crop": request.crop, "deinterlace": request.deinterlace}

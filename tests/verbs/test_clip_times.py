@@ -13,10 +13,23 @@ from morphspace.io.images import write_image
 from morphspace.io.tables import read_loadings_table, write_loadings_table
 from morphspace.io.video import read_frames, video_info, write_video
 from morphspace.model import encode as encode_room
+from morphspace.model.model import load_model
 from morphspace.steps import result_of
-from morphspace.verbs import caricature, encode, measure_mimicry, mimic, place, render, trajectory
+from morphspace.verbs import (
+    build_model,
+    caricature,
+    encode,
+    info,
+    measure_mimicry,
+    mimic,
+    place,
+    render,
+    trajectory,
+)
+from morphspace.verbs.build_model import BuildModelRequest
 from morphspace.verbs.caricature import CaricatureRequest
 from morphspace.verbs.encode import EncodeRequest
+from morphspace.verbs.info import InfoRequest
 from morphspace.verbs.measure_mimicry import MeasureMimicryRequest
 from morphspace.verbs.mimic import MimicRequest
 from morphspace.verbs.place import PlaceRequest
@@ -25,6 +38,7 @@ from morphspace.verbs.trajectory import TrajectoryRequest
 
 RATE_HZ = 25.0
 KEPT = [0, 1, 2, 3, 5, 6, 7, 9, 10, 11]  # the slots of a recorder that lost two frames
+KEYPOINTS = {"source": "set", "lip": "philtrum", "on": "mean"}
 GAP = "with a largest gap of 0.08 s after frame 3"
 
 
@@ -36,9 +50,7 @@ def smile(times_s):
 def work(model, tmp_path):
     """A model built at 10 Hz, a table of a motion with every frame, and one of a recorder that lost two of them."""
     faceframe = FaceFrame((20.0, 28.0), (39.0, 28.0), (29.5, 46.0))
-    model = with_rate(model, 10.0).with_faceframe(
-        faceframe, {"source": "set", "lip": "philtrum", "on": "mean"}
-    )
+    model = with_rate(model, 10.0).with_faceframe(faceframe, KEYPOINTS)
     model.save(tmp_path / "drawn.morph")
     times_s = np.arange(12) / RATE_HZ
     for name, kept in (("even", range(12)), ("lost", KEPT)):
@@ -184,3 +196,33 @@ def test_what_reading_changes_is_a_note_of_the_verb(work, model, monkeypatch):
     monkeypatch.setattr(encode_room, "open_clip", noted)
     outcome = result_of(encode.run(EncodeRequest(work / "drawn.morph", (str(path),), work / "t.csv")))
     assert "its pixels became square" in outcome.warnings
+
+
+def test_training_frames_keep_their_times(work, model):
+    times_s = [0.1 * slot for slot in range(10)] + [1.3, 1.4]
+    timed = replace(load_model(work / "drawn.morph"), provenance={**model.provenance, "times_s": times_s})
+    timed = with_rate(timed, 10.0).with_faceframe(
+        FaceFrame((20.0, 28.0), (39.0, 28.0), (29.5, 46.0)), KEYPOINTS
+    )
+    timed.save(work / "timed.morph")
+    result_of(info.run(InfoRequest(work / "timed.morph", loadings=work / "t.csv")))
+    assert read_loadings_table(work / "t.csv").times_s.tolist() == times_s
+    request = MimicRequest(
+        str(work / "timed.morph"), str(work / "timed.morph"), work / "mimic", method="map", neutral="mean"
+    )
+    outcome = result_of(mimic.run(request))
+    assert any("with a largest gap of 0.4 s after frame 9" in note for note in outcome.warnings)
+    assert video_info(work / "mimic" / "side-by-side.mp4").frame_count == 15
+    assert read_loadings_table(work / "mimic" / "loadings.csv").times_s.tolist() == times_s
+
+
+def test_a_build_keeps_the_times_of_its_video(work, model):
+    path = clip_of(work, model, KEPT)
+    request = BuildModelRequest(
+        (str(path),), work / "built.morph", flow="fast", landmarks="none", start="none", registration="none"
+    )
+    outcome = result_of(build_model.run(request))
+    assert any(GAP in note for note in outcome.warnings)
+    built = load_model(work / "built.morph")
+    assert built.provenance["frame_rate_hz"] == RATE_HZ
+    assert_allclose(built.training_times_s, np.array(KEPT) / RATE_HZ)
