@@ -12,13 +12,13 @@ import numpy as np
 from morphspace.arrays import AnyArray, Image
 from morphspace.io.images import read_image
 from morphspace.io.tables import write_loadings_table, write_metrics_table
-from morphspace.outcome import RECORD_NAME, Outcome, versions, write_record_of
+from morphspace.outcome import RECORD_NAME, Outcome, versions, write_record, write_record_of
 from morphspace.report.frames import small
 from morphspace.report.set_page import CLIPPED_PERCENT, FOLDED_PERCENT, StimulusSet, places_shown, set_page
 from morphspace.requests import VIDEO_SUFFIXES
 from morphspace.sets.manifest import Column, write_manifest
 from morphspace.sets.plan import PlannedSet, keep_model
-from morphspace.sets.protect import set_output, writing
+from morphspace.sets.protect import Output, set_output, writing
 from morphspace.sets.stimulus import make_stimulus
 from morphspace.steps import Step, Steps, in_order, worker_count
 from morphspace.stimuli.drawing import PICTURE_SUFFIXES, Drawing
@@ -28,6 +28,7 @@ from morphspace.storage import digest_of_file, write_text
 PAGE_NAME = "index.html"
 OUTLIER_Z = 3.5  # of the modified z-score (Iglewicz and Hoaglin 1993)
 LEAST_FOR_OUTLIERS = 8  # stimuli; the spread of fewer is too uncertain
+SAME_RATE = 1e-3  # share; a smaller difference is no note
 NORMAL_MAD = 0.6745  # the median absolute deviation of a normal distribution, in its sd
 LEAST_SPREAD = 0.005  # share of a statistic's median; 3.5 times this is a just visible difference
 LOADINGS_KINDS = ("loadings", "colour_loadings")  # two tables if colours have other loadings than the warp
@@ -66,6 +67,53 @@ def write_set(planned: PlannedSet, folder: Path) -> Steps[Outcome]:
             rows.append(row)
             yield Step("draw", len(rows), total)
         return complete_set(folder, [planned], rows, planned.verb, planned.request)
+
+
+def write_animated(planned: PlannedSet, output: Path) -> Steps[Outcome]:
+    """Draw the frames of the only video of a set as an animation, with its record beside it."""
+    from morphspace.io.animation import shown_rate_hz, write_animation  # loads libav
+
+    (drawing,) = planned.drawings
+    model, rate = planned.model, float(drawing.frame_rate_hz or 0)
+    loadings, count = drawing.loadings_sd * model.sd[: drawing.loadings_sd.shape[1]], len(drawing.loadings_sd)
+    shown = shown_rate_hz(output.suffix.lower(), rate)
+    record = output.with_name(f"{output.name}.{RECORD_NAME}")
+    with writing(Output("render", output, (output, record), inputs=planned.files)):
+        yield Step("render", 0, 1)
+        write_animation(output, lambda: in_order(model.render, loadings), frame_rate_hz=rate)
+        yield Step("render", 1, 1)
+        settings = {**planned.request, "video": None, "frame_rate_hz": shown}
+        write_record(output.parent, "render", settings, dict(planned.inputs), [output], record.name)
+    notes = planned.notes
+    if abs(shown - rate) > SAME_RATE * rate:
+        notes += (
+            f"{output} is shown at {shown:.4g} Hz, not {rate:g}: a GIF has whole hundredths of a second",
+        )
+    lines = (f"{output}: {count} frames at {shown:.4g} Hz, for slides and pages; it is no stimulus",)
+    return Outcome(lines, {"output": str(output), "frames": count}, notes, (output, record))
+
+
+def write_lone_video(planned: PlannedSet, output: Path) -> Steps[Outcome]:
+    """Write the only video of a set under its own name, with its sidecar and record beside it."""
+
+    (drawing,) = planned.drawings
+    sidecar = output.with_name(f"{output.name}.json")
+    record = output.with_name(f"{output.name}.{RECORD_NAME}")
+    with writing(Output("render", output, (record,), [(output, sidecar)], planned.files)):
+        yield Step("render", 0, 1)
+        row = make_stimulus(
+            planned.model, drawing, planned.sidecar_head(), output.parent, worker_count(), (output, sidecar)
+        )
+        yield Step("render", 1, 1)
+        settings = {**planned.request, "frame_rate_hz": drawing.frame_rate_hz}
+        written = (output, sidecar)
+        write_record(output.parent, "render", settings, dict(planned.inputs), written, record.name)
+    notes = planned.notes
+    if row["clipped_percent"] > CLIPPED_PERCENT:
+        notes = (*notes, f"{row['clipped_percent']:.2g} % of the colour values were clipped: lower the gain")
+    lines = (f"{output}: {row['frames']} frames at {drawing.frame_rate_hz:g} Hz",)
+    document = {"output": str(output), "frames": row["frames"], "clipped_percent": row["clipped_percent"]}
+    return Outcome(lines, document, notes, (*written, record))
 
 
 def complete_set(

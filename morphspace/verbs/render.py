@@ -16,6 +16,8 @@ if TYPE_CHECKING:
     from morphspace.sets.plan import PlannedSet
     from morphspace.steps import Steps
 
+ANIMATION_SUFFIXES = (".gif", ".webp")  # `io/animation.py`, which loads libav
+
 
 @declared
 class RenderRequest:
@@ -26,7 +28,10 @@ class RenderRequest:
     output: Annotated[
         Path,
         Option("-o", "--output"),
-        Help("A folder for images, or a video: .mkv is lossless, .mp4 plays everywhere."),
+        Help(
+            "A folder for images, a video (.mkv is lossless, .mp4 plays everywhere), or an animation for slides "
+            "(.gif, .webp)."
+        ),
     ]
     gain: Annotated[float, Help("Factor on all loadings; above 1 caricatures.")] = 1.0
     frame_rate_hz: FrameRate = None
@@ -37,13 +42,17 @@ class RenderRequest:
 
 def run(request: RenderRequest) -> Steps[Outcome]:
     """Draw the faces and write them."""
-    from morphspace.sets.stimulus_set import write_set
+    from morphspace.sets.stimulus_set import write_animated, write_lone_video, write_set
 
-    video = next((one for one in VIDEO_SUFFIXES if one == request.output.suffix.lower()), None)
+    suffix = request.output.suffix.lower()
+    video = next((one for one in VIDEO_SUFFIXES if one == suffix), None)
+    if suffix in ANIMATION_SUFFIXES and not request.output.is_dir():
+        planned = yield from plan(dataclasses.replace(request, video=".mkv"))
+        return (yield from write_animated(planned, request.output))
     if request.output.suffix and video is None and not request.output.is_dir():
         raise BadInput(
-            f"{request.output} ends in {request.output.suffix}. Give a folder for images, or a video in "
-            f"{' or '.join(VIDEO_SUFFIXES)}"
+            f"{request.output} ends in {request.output.suffix}. Give a folder for images, or a name in "
+            f"{', '.join((*VIDEO_SUFFIXES, *ANIMATION_SUFFIXES))}"
         )
     if video is None:
         planned = yield from plan(request)
@@ -51,7 +60,7 @@ def run(request: RenderRequest) -> Steps[Outcome]:
     if request.output.is_dir():
         raise BadInput(f"{request.output} is a folder. Give the name of a video, or a folder without suffix")
     planned = yield from plan(dataclasses.replace(request, video=video))
-    return (yield from _lone_video(planned, request.output))
+    return (yield from write_lone_video(planned, request.output))
 
 
 def plan(request: RenderRequest, model: MorphModel | None = None) -> Steps[PlannedSet]:
@@ -92,31 +101,3 @@ def plan(request: RenderRequest, model: MorphModel | None = None) -> Steps[Plann
             )
         ]
     return plan_of(request, "render", model, drawings, inputs=faces.inputs, notes=faces.notes)
-
-
-def _lone_video(planned: PlannedSet, output: Path) -> Steps[Outcome]:
-    """Write the only video of a set under its own name, with its sidecar and record beside it."""
-    from morphspace.outcome import RECORD_NAME, Outcome, write_record
-    from morphspace.report.set_page import CLIPPED_PERCENT
-    from morphspace.sets.protect import Output, writing
-    from morphspace.sets.stimulus import make_stimulus
-    from morphspace.steps import Step, worker_count
-
-    (drawing,) = planned.drawings
-    sidecar = output.with_name(f"{output.name}.json")
-    record = output.with_name(f"{output.name}.{RECORD_NAME}")
-    with writing(Output("render", output, (record,), [(output, sidecar)], planned.files)):
-        yield Step("render", 0, 1)
-        row = make_stimulus(
-            planned.model, drawing, planned.sidecar_head(), output.parent, worker_count(), (output, sidecar)
-        )
-        yield Step("render", 1, 1)
-        settings = {**planned.request, "frame_rate_hz": drawing.frame_rate_hz}
-        written = (output, sidecar)
-        write_record(output.parent, "render", settings, dict(planned.inputs), written, record.name)
-    notes = planned.notes
-    if row["clipped_percent"] > CLIPPED_PERCENT:
-        notes = (*notes, f"{row['clipped_percent']:.2g} % of the colour values were clipped: lower the gain")
-    lines = (f"{output}: {row['frames']} frames at {drawing.frame_rate_hz:g} Hz",)
-    document = {"output": str(output), "frames": row["frames"], "clipped_percent": row["clipped_percent"]}
-    return Outcome(lines, document, notes, (*written, record))
