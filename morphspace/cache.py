@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from morphspace.arrays import AnyArray
-from morphspace.errors import UnreadableFile
+from morphspace.errors import BadInput, UnreadableFile
 from morphspace.storage import (
     digest_of_json,
     json_text,
@@ -97,14 +97,24 @@ def forget(folder: Path) -> None:
         folder.rmdir()
 
 
+def check_no_link(folder: Path) -> None:
+    """Check that a folder whose results will be removed is no link to another place. Raises `BadInput`."""
+    if folder.is_symlink():
+        raise BadInput(
+            f"{folder} is a link; expected a folder of this run. Remove the link, or choose another output"
+        )
+
+
 @contextlib.contextmanager
 def work_folder(given: Path | None, output: Path) -> Iterator[Path]:
     """Provide the folder of results for a block that writes `output`: the given one, or OUTPUT.work.
 
     OUTPUT.work is removed if the block succeeds. If it fails after a result was finished, the folder stays and the
-    next run resumes from it. Raises `UnwritableFile`.
+    next run resumes from it. Raises `UnwritableFile`, and for OUTPUT.work that is a link `BadInput`.
     """
     folder = given or output.with_name(f"{output.name}.work")
+    if given is None:
+        check_no_link(folder)
     is_new = not folder.exists()
     make_folder(folder)
     remove_unfinished(folder, suffix=SUFFIX, abandoned=True)

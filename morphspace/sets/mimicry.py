@@ -273,6 +273,7 @@ def written_mimicry(
     check_apart(folder, driver.files)
     check_inputs((*pictures, video), [*driver.files, *inputs])
     make_folder(folder / MIMIC_FRAMES)
+    cache.check_no_link(folder / WORK_FOLDER)
     remove_unfinished(folder / WORK_FOLDER)
     drive = drive_of(source, target, asked)
     looks = advice.looks_for_faces(driver, source.model, target.model, detector)

@@ -8,7 +8,7 @@ import pytest
 from numpy.testing import assert_array_equal
 
 from morphspace import cache
-from morphspace.errors import UnreadableFile, UnwritableFile
+from morphspace.errors import BadInput, UnreadableFile, UnwritableFile
 from morphspace.storage import read_container, write_container
 
 ARRAYS = {"image": np.arange(24, dtype=np.float32).reshape(2, 4, 3), "none": np.zeros((0, 3))}
@@ -144,3 +144,17 @@ def test_a_work_folder_that_cannot_be_made_is_named(tmp_path):
         cache.work_folder(None, tmp_path / "a.morph"),
     ):
         pass
+
+
+def test_a_work_folder_that_is_a_link_is_refused_unless_it_was_given(tmp_path):
+    elsewhere = tmp_path / "elsewhere"
+    elsewhere.mkdir()
+    kept = cache.result_file(elsewhere, "of another run")
+    cache.write_result(kept, {}, {})
+    (tmp_path / "a.morph.work").symlink_to(elsewhere)
+    with pytest.raises(BadInput, match="is a link"), cache.work_folder(None, tmp_path / "a.morph"):
+        pass
+    assert kept.is_file()
+    with cache.work_folder(tmp_path / "a.morph.work", tmp_path / "a.morph"):
+        pass
+    assert kept.is_file()
