@@ -121,7 +121,7 @@ BAD = (
     ("sample m.morph --max-sd 0.001 -o out", "0.001"),
     ("place m.morph nowhere -o out", "nowhere"),
     ("replay t.csv", "JSON"),
-    ("render m.morph t.csv -o x.gif", "x.gif"),
+    ("render m.morph t.csv -o x.avi", "x.avi"),
     ("batch recipe.yaml -o out --workers 0", "--workers"),
     ("batch recipe.yaml -o out --worker 2", "--worker"),
     ("batch recipe.yaml", "-o"),
