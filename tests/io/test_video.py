@@ -260,13 +260,13 @@ def test_pixels_become_square_and_it_is_said(tmp_path, aspect, size):
 
 
 def test_nearly_square_pixels_are_left_alone_and_absurd_ones_refused(tmp_path):
-    frames = [np.full((96, 128, 3), 90, np.uint8)] * 2
+    frames = [np.full((400, 64, 3), 90, np.uint8)] * 2
     info = video_info(
         encoded(
             tmp_path / "a.mp4", frames, "libx264rgb", "rgb24", options={"crf": "0"}, aspect=Fraction(300, 301)
         )
     )
-    assert (info.size, info.notes) == ((128, 96), ())
+    assert (info.size, info.notes) == ((64, 400), ())
     with pytest.raises(BadInput, match="pixels of aspect 9:1; expected 1:4 to 4:1"):
         video_info(
             encoded(
@@ -377,6 +377,37 @@ def test_times_of_frames_are_those_of_the_file(tmp_path, name, codec, tick, time
     assert info.frame_rate_hz == pytest.approx(rate_hz, rel=1e-9)
     is_even = bool(np.ptp(np.diff(info.times_s)) < 1e-9)  # s; rounding of times that are exactly even
     assert is_even == (name in ("even.mp4", "ntsc.mkv"))
+
+
+@pytest.mark.parametrize(
+    ("ticks", "tick_s", "header_hz", "rate_hz", "is_even"),
+    [
+        (
+            [round(index / 0.6) for index in range(60)],
+            (1, 1000),
+            600,
+            600,
+            True,
+        ),  # milliseconds are 0.6 frames
+        ([round(index / 0.03) for index in range(60)], (1, 1000), None, 59 / 1.967, True),
+        ([*range(10), *range(11, 21)], (1, 25), 25, 25, False),  # one lost frame
+        ([*range(10), *range(11, 21)], (1, 25), None, 19 * 25 / 20, False),
+        (
+            [401 * index for index in [*range(9), *range(12, 30)]],
+            (1, 10_000),
+            25,
+            25,
+            False,
+        ),  # a slow clock: nominal
+        ([450 * index for index in [*range(9), *range(12, 30)]], (1, 10_000), 25, 26 / 29 / 0.045, False),
+    ],
+)
+def test_a_lost_frame_is_told_from_the_rounding_of_a_clock(ticks, tick_s, header_hz, rate_hz, is_even):
+    header = None if header_hz is None else Fraction(header_hz)
+    rate, times_s = video._clock(ticks, Fraction(*tick_s), header)
+    assert float(rate) == pytest.approx(rate_hz)
+    wanted = np.arange(len(ticks)) / rate_hz if is_even else np.array(ticks) * tick_s[0] / tick_s[1]
+    assert_allclose(times_s, wanted, atol=1e-12)  # s; rounding of floats
 
 
 def vint(number):
