@@ -11,10 +11,7 @@ from morphspace.errors import UnreadableFile
 
 EBML_HEADER, SEGMENT = 0x1A45DFA3, 0x18538067  # Matroska element identifiers (RFC 8794, RFC 9559)
 MP4_FIRST_BOXES = (b"ftyp", b"moov", b"mdat", b"free", b"skip", b"wide")
-FFV1_TRAILERS = (
-    8,
-    3,
-)  # bytes at the end of a slice: its length (3), and with checksums a mark (1) and the CRC (4)
+FFV1_TRAILERS = (8, 3)  # bytes after a slice: its length (3), and with checksums a mark (1) and the CRC (4)
 BIT_REVERSED = bytes(int(f"{byte:08b}"[::-1], 2) for byte in range(256))
 
 

@@ -42,9 +42,7 @@ SQUARE_TOL = 0.005  # relative; a face squeezed by less is not seen, and its pix
 MOST_ASPECT = 4  # width of a pixel over its height, or the inverse; broadcast and anamorphic film need 2
 QUARTER_TURNS = ((1, 0, 0, 1), (0, -1, 1, 0), (-1, 0, 0, -1), (0, 1, -1, 0))  # counter-clockwise
 AXIS_TOL = 0.01  # relative; rounding of a quarter turn in a display matrix
-HEADER_TOL = (
-    0.75  # frames; times in whole ticks of a clock are off by up to one tick, a lost frame by a whole one
-)
+HEADER_TOL = 0.75  # frames; whole ticks are off by up to one tick, a lost frame by a whole one
 FITTED_TOL = 0.25  # frames; likewise, but a mean rate hides half of a lost frame
 NOMINAL_TOL = 0.02  # relative; the usual step of a recording with lost frames is that of its header
 BWDIF = "mode=send_frame:deint=interlaced"  # one frame out for each frame in; whole frames stay as they are

@@ -59,3 +59,12 @@ def test_a_video_shows_the_nearest_frame():
     assert (
         frames_shown(3, None, 10.0).tolist() == frames_shown(3, (0.0, 0.1, 0.2), 10.0).tolist() == [0, 1, 2]
     )
+
+
+@pytest.mark.parametrize("rate_hz", [24.0, 25.0, 30000 / 1001, 30.0, 59.94])
+def test_an_hour_with_a_lost_frame_loses_no_other_and_keeps_all_bit_equal(rate_hz):
+    kept = np.delete(np.arange(90_000), 45_000)
+    values = np.random.default_rng(2).normal(size=(len(kept), 1))
+    sampled, _ = evenly_sampled("take", values, kept / rate_hz, rate_hz)
+    assert len(sampled) == 90_000
+    assert_array_equal(sampled[kept], values)
