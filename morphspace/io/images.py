@@ -301,7 +301,7 @@ def _opened_avif(path: Path) -> tuple[Any, tuple[int, int]]:
     """Return the one frame of an AVIF, as stored, and the (width, height) px of its upright picture."""
     import av
 
-    from morphspace.io.video import video_info
+    from morphspace.io.video import check_codec, video_info
 
     try:
         with av.open(str(path)) as container:
@@ -311,6 +311,7 @@ def _opened_avif(path: Path) -> tuple[Any, tuple[int, int]]:
                     f"{path} holds {len(streams)} parts, such as tiles or transparency; expected one picture, since "
                     "libav does not join them. Convert it to PNG or JPEG"
                 )
+            check_codec(path, streams[0])
             _check_size(path, streams[0].codec_context.width, streams[0].codec_context.height)
             frame = next(container.decode(streams[0]), None)
     except (av.FFmpegError, OSError) as error:

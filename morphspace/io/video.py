@@ -239,6 +239,7 @@ def _decoded(path: Path, deinterlace: bool = False) -> Iterator[tuple[Any, _Trac
                     f"{path} has no video track; expected one. Use another video or a folder of images"
                 )
             stream = container.streams.video[0]
+            check_codec(path, stream)
             track = _Track(
                 stream.average_rate or stream.guessed_rate,
                 stream.sample_aspect_ratio or Fraction(1),
@@ -257,6 +258,14 @@ def _decoded(path: Path, deinterlace: bool = False) -> Iterator[tuple[Any, _Trac
         ) from error
     if count == 0:
         raise UnreadableFile(f"{path} holds no frames; expected at least one. Copy it again")
+
+
+def check_codec(path: Path, stream: Any) -> None:
+    """Check that libav can decode a stream. Raises `UnreadableFile`."""
+    if stream.codec_context is None:
+        raise UnreadableFile(
+            f"{path} is in a codec that libav does not know; expected one such as H.264. Convert it, or copy it again"
+        )
 
 
 def _frames_of(path: Path, container: Any, stream: Any) -> Iterator[Any]:

@@ -698,3 +698,14 @@ def test_many_frames_of_a_photograph_give_the_same_bytes_every_time(tmp_path):
         write_video(tmp_path / "a.mp4", frames)
         written.add((tmp_path / "a.mp4").read_bytes())
     assert len(written) == 1
+
+
+def test_a_codec_that_is_not_known_is_refused(tmp_path):
+    path = tmp_path / "a.mp4"
+    write_video(path, [np.zeros((32, 32, 3), np.float32)] * 2, frame_rate_hz=25)
+    content = path.read_bytes()
+    assert content.count(b"avc1") == 2  # the brand of the file, and the entry of its only track
+    at = content.rindex(b"avc1")
+    path.write_bytes(content[:at] + b"zzz1" + content[at + 4 :])
+    with pytest.raises(UnreadableFile, match="a codec that libav does not know"):
+        list(read_frames(path))
