@@ -91,6 +91,7 @@ def open_task(path: str, rounds: int) -> dict[str, Any]:
         load_model(path)
         uncached = time.perf_counter() - start
         times.append(uncached)
+        os.utime(path)  # a file of another time is checked again
     start = time.perf_counter()
     Path(path).read_bytes()
     Path(path).read_bytes()

@@ -267,7 +267,8 @@ def open_model(rounds: int, work: Path) -> None:
     print(
         f"`load_model` of {path.stat().st_size / 1e6:.0f} MB in {len(found)} fresh processes, imports not counted; "
         "median and quartiles. Not cached: the system was asked to drop the file's pages first "
-        "(posix_fadvise). Peer: reading the whole file once, cached, in the same process.\n"
+        "(posix_fadvise). First: the digest of the content is compared. Again: the file is unchanged, and is not read. "
+        "Peer: reading the whole file once, cached, in the same process.\n"
     )
     whole = np.array([one["read_s"] for one in found])
     print_table(
