@@ -126,6 +126,10 @@ def make_folder(folder: Path) -> None:
         ):  # a name that no other process has
             pass
     except OSError as error:
+        bar = next((one for one in (folder, *folder.parents) if os.path.lexists(one)), folder)
+        if not bar.is_dir():
+            what = "a link to nothing" if bar.is_symlink() and not bar.exists() else "a file"
+            raise UnwritableFile(f"{bar} is {what}; expected a folder. Choose another output") from error
         raise UnwritableFile(
             f"cannot write into {folder}: {error.strerror}. Choose another output folder"
         ) from error

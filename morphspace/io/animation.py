@@ -94,7 +94,7 @@ def write_animation(path: Path, frames: Callable[[], Iterable[Image]], *, frame_
     try:
         with (
             whole_file(path) as temporary,
-            av.open(str(temporary), "w", format=suffix[1:], options={"loop": "0"}) as container,
+            av.open(str(temporary.absolute()), "w", format=suffix[1:], options={"loop": "0"}) as container,
         ):
             stream: Any = None
             for picture in pictures:

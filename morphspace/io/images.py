@@ -304,7 +304,7 @@ def _opened_avif(path: Path) -> tuple[Any, tuple[int, int]]:
     from morphspace.io.video import check_codec, video_info
 
     try:
-        with av.open(str(path)) as container:
+        with av.open(str(path.absolute())) as container:
             streams = container.streams.video
             if len(streams) != 1:
                 raise BadInput(

@@ -211,7 +211,7 @@ def video_texts(path: str | Path) -> dict[str, str]:
     """Return the metadata of a video; keys in lower case. Raises `UnreadableFile`."""
     path = Path(path)
     try:
-        with av.open(str(path), metadata_errors="replace") as container:
+        with av.open(str(path.absolute()), metadata_errors="replace") as container:
             return {key.lower(): text for key, text in container.metadata.items()}
     except (av.FFmpegError, OSError) as error:
         raise UnreadableFile(
@@ -233,7 +233,7 @@ def _decoded(path: Path, deinterlace: bool = False) -> Iterator[tuple[Any, _Trac
     check_whole(path)
     count = 0
     try:
-        with av.open(str(path)) as container:
+        with av.open(str(path.absolute())) as container:
             if not container.streams.video:
                 raise UnreadableFile(
                     f"{path} has no video track; expected one. Use another video or a folder of images"
@@ -456,7 +456,7 @@ def _encode(
 ) -> int:
     rate = Fraction(frame_rate_hz).limit_denominator(RATE_DENOMINATOR)
     clipped = 0
-    with av.open(str(temporary), "w", options={"fflags": "+bitexact"}) as container:
+    with av.open(str(temporary.absolute()), "w", options={"fflags": "+bitexact"}) as container:
         container.metadata.update(metadata)
         stream = _add_stream(container, path.suffix.lower(), rate, encoding)
         for index, image in enumerate(frames):

@@ -103,9 +103,7 @@ def made_in_processes(pieces: Iterable[Piece], workers: int) -> Rows:
     pending: deque[Future[dict[str, Any]]] = deque()
     try:
         for piece in pieces:
-            with (
-                contextlib.nullcontext() if pending else _interrupts_waiting()
-            ):  # the first piece starts the processes
+            with _interrupts_waiting():  # each of the first pieces starts a process
                 pending.append(pool.submit(_made, piece))
             if len(pending) >= QUEUED * workers:
                 yield pending.popleft().result()
@@ -128,7 +126,7 @@ def _made(piece: Piece) -> dict[str, Any]:
 
 @contextlib.contextmanager
 def _interrupts_waiting() -> Iterator[None]:
-    """Delay Ctrl-C until the block ends. Processes started in the block ignore it."""
+    """Delay Ctrl-C until the block ends. Processes started in the block ignore it, from their first import on."""
     if not hasattr(signal, "pthread_sigmask"):  # Windows
         yield
         return

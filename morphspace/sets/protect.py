@@ -281,7 +281,7 @@ def check_file(path: Path, suffix: str) -> None:
         )
     if path.suffix.lower() != suffix:
         raise BadInput(
-            f"the output is {path}; expected a name in {suffix}. Call it {path.stem or 'output'}{suffix}"
+            f"the output is {path}; expected a name in {suffix}. Call it {path.stem.strip('.') or 'output'}{suffix}"
         )
     if path.is_dir():
         raise BadInput(f"the output {path} is a folder. Give the name of a {suffix} file")

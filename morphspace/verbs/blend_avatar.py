@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 from annotated_types import Ge, Le
 
-from morphspace.errors import BadInput
 from morphspace.flow.names import DEFAULT, NAMES
 from morphspace.requests import ClipText, MaxSd, MimicryMethod, declared
 from morphspace.settings import Argument, Help, OneOf, Option, Spelled
@@ -123,10 +122,8 @@ def run(request: BlendAvatarRequest) -> Steps[Outcome]:
     from morphspace.storage import digest_of_file, write_text
 
     paths = [Path(given) for given in request.models]
-    if not request.output.name:
-        raise BadInput(f"the output {request.output} is a folder. Give a file, such as avatar{SUFFIX}")
-    report = request.report or request.output.with_suffix(".html")
     check_file(request.output, SUFFIX)
+    report = request.report or request.output.with_suffix(".html")
     check_file(report, ".html")
     guarded = Output("blend-avatar", request.output, (request.output, report), inputs=paths)
     with held_models(paths) as held:

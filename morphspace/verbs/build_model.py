@@ -98,8 +98,8 @@ def run(request: BuildModelRequest) -> Steps[Outcome]:
     settings = settings_in(request, ClipSettings)
     clip = open_clip(request.sources, deinterlace=request.deinterlace)
     output = request.output or Path(f"{clip.name}.morph")
-    report = request.report or output.with_suffix(".html")
     check_file(output, ".morph")
+    report = request.report or output.with_suffix(".html")
     check_file(report, ".html")
     guarded = Output("build-model", output, (output, report), inputs=clip.paths)
     with writing(guarded), cache.work_folder(request.work_folder, output) as work_folder:

@@ -46,8 +46,8 @@ def run(request: EncodeRequest) -> Steps[Outcome]:
 
     model = load_model(request.model)
     source = framed_for(model, request.sources, request.crop, deinterlace=request.deinterlace)
-    sidecar = request.output.with_suffix(".json")
     check_file(request.output, ".csv")
+    sidecar = request.output.with_suffix(".json")
     parts: list[Loadings] = []
     own = drawn_by(model, source)
     inputs = dict(zip(source.names, source.file_digests, strict=True))

@@ -104,11 +104,11 @@ def run(request: FlowRequest) -> Steps[Outcome]:
         return (yield from measured_scenes(request.bench, request.presets, request.output, request.backend))
     assert request.output is not None  # `check` ensures it
     (reference, frame), (preset,), output = request.pictures, request.presets, request.output
-    back = output.with_name(f"{output.stem}.back{output.suffix}")
+    back = output.parent / f"{output.stem}.back{output.suffix}"
     method = methods.named(preset, request.backend)
     flow_figures.check_start(preset, request)
     inputs = flow_figures.input_files(request)
-    record = output.with_name(f"{output.name}.{RECORD_NAME}")
+    record = output.parent / f"{output.name}.{RECORD_NAME}"
     wanted = [output, *([back] if request.both else []), *([request.picture] if request.picture else [])]
     _check_names(wanted, request.picture)
     with writing(Output("flow", output, (*wanted, record), inputs=tuple(inputs.values()))):

@@ -6,6 +6,7 @@ import struct
 import subprocess
 import sys
 from fractions import Fraction
+from pathlib import Path
 
 import av
 import cv2
@@ -15,7 +16,8 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from morphspace.errors import BadInput, SizeMismatch, UnreadableFile, UnwritableFile
 from morphspace.io import video
-from morphspace.io.video import read_frames, video_info, write_video
+from morphspace.io.animation import write_animation
+from morphspace.io.video import read_frames, video_info, video_texts, write_video
 from morphspace.synthetic.warped import astronaut_face
 
 COUNT, HEIGHT, WIDTH = 40, 47, 61  # odd, and more frames than any encoder holds back
@@ -682,6 +684,18 @@ def test_a_file_in_place_of_the_folder_is_named(tmp_path):
     (tmp_path / "file").write_text("")
     with pytest.raises(UnwritableFile, match=r"cannot write .*file/a\.mp4"):
         write_video(tmp_path / "file" / "a.mp4", noise(count=1))
+
+
+@pytest.mark.parametrize("name", ["a.mp4", "a.mkv", "a.gif", "a.webp"])
+def test_a_folder_with_a_colon_is_no_protocol(tmp_path, monkeypatch, name):
+    monkeypatch.chdir(tmp_path)
+    path, frames = Path("a:b") / name, noise(count=2)
+    if name in ("a.gif", "a.webp"):
+        write_animation(path, lambda: iter(frames), frame_rate_hz=25.0)
+        assert path.stat().st_size > 0
+    else:
+        write_video(path, frames)
+        assert len(list(read_frames(path))) == 2 and video_texts(path) is not None
 
 
 def test_many_frames_of_a_photograph_give_the_same_bytes_every_time(tmp_path):

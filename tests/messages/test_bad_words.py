@@ -32,6 +32,7 @@ def lab(model, picture, tmp_path_factory):
     rows = Loadings(model.training.values[:3], model.training.frame_names[:3], model.model_id)
     write_loadings(folder / "t.csv", rows, model, folder / "m.morph", {})
     (folder / "recipe.yaml").write_text("model: m.morph\nstimuli:\n  - verb: sample\n    n: 2\n")
+    (folder / "dangling").symlink_to("gone")
     (folder / "clip").mkdir()
     for name, row in zip(rows.frame_names, rows.values, strict=True):
         write_image(folder / "clip" / f"{name}.png", model.render(row))
@@ -108,6 +109,20 @@ BAD = (
     ("flow a.png b.png -o o.flo --landmarks a.png b.png", "a.png .tem"),
     ("flow a.png b.png -o o.flo --landmarks a.tem nowhere.tem", "a.tem"),
     ("flow a.png b.png -o o.flo --backend abacus", "abacus"),
+    ("flow a.png b.png -o .", ".flo .exr"),
+    ("flow a.png b.png -o / --both", ".flo .exr"),
+    ("encode plain.morph clip -o .", ".csv output.csv"),
+    ("encode plain.morph clip -o /", ".csv output.csv"),
+    ("encode plain.morph clip -o clip/..", "clip/.. output.csv"),
+    ("build-model clip -o .", ".morph output.morph"),
+    ("build-model clip -o x.morph --report .", ".html output.html"),
+    ("blend-avatar anna.morph ben.morph -o .", ".morph output.morph"),
+    ("blend-avatar anna.morph ben.morph -o /", ".morph output.morph"),
+    ("keypoints plain.morph --set 20,30|41,29|30,44 -o .", ".morph output.morph"),
+    ("info m.morph --loadings /", ".csv output.csv"),
+    ("trajectory m.morph t.csv --op reverse -o a.png/in", "a.png file; folder Choose"),
+    ("sample m.morph -o a.png", "a.png file; expected folder. Choose"),
+    ("sample m.morph -o dangling/x", "dangling link nothing; expected folder. Choose"),
     ("caricature m.morph -o out", "neither was given"),
     ("caricature m.morph --loadings t.csv --clip x -o out", "both were given"),
     ("caricature m.morph --loadings t.csv --gain 1,x -o out", "1,x"),
@@ -186,5 +201,5 @@ def test_bad_words_get_one_line_and_change_nothing(lab, monkeypatch, tmp_path, w
 
 
 def files_of(folder: Path) -> dict[Path, tuple[int, int]]:
-    found = {path: path.stat() for path in folder.rglob("*")}
+    found = {path: path.lstat() for path in folder.rglob("*")}
     return {path: (is_there.st_size, is_there.st_mtime_ns) for path, is_there in found.items()}

@@ -437,6 +437,18 @@ def test_control_c_ends_a_batch_with_one_line_and_whole_files(lab, tmp_path):
     assert not [path for path in out.rglob(".*") if path.is_file()]
 
 
+@pytest.mark.slow
+@pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="reads /proc to see which processes live")
+def test_control_c_while_the_processes_start_ends_in_one_line(lab, tmp_path):
+    with command(recipe(lab, MANY), tmp_path / "out") as process:
+        assert waited_for(
+            lambda: len(processes_of(process.pid)) == 4, 60
+        )  # its own, the tracker's, and two workers
+        os.killpg(process.pid, signal.SIGINT)
+        _, told = process.communicate(timeout=60)
+    assert process.returncode == 130 and told.count("\n") == 1 and "stopped" in told, told
+
+
 THOUSAND = (
     MANY
     + """\
