@@ -30,6 +30,7 @@ from morphspace.errors import BadInput
 NUMBER_SEPARATORS, TEXT_SEPARATORS = ",;", ";"  # between the values of a list that is written as one text
 NUMBER_PATTERN = r"[-+]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][-+]?[0-9]+)?"
 WHOLE_PATTERN = r"[-+]?[0-9]+(\.0*)?"
+ONE_OF = "one of "  # before the permitted texts of a setting
 LONGEST_SHOWN = 60  # characters of a refused value in a message
 
 # What a field may be annotated with, besides the limits Ge, Gt and Le of `annotated_types`.
@@ -300,7 +301,9 @@ def converted(field: Field, given: Any, place: Callable[[str], Path] = Path) -> 
     try:
         return _converted(given, field.kind, field.marks, place)
     except _OtherKind as error:
-        raise WrongSetting(field.name, f"is {shown(given)}; expected {field.words}") from error
+        is_many = isinstance(given, tuple) and given and field.values is not None  # words of the command line
+        named = _cut(", ".join(map(shown, given))) if is_many else shown(given)
+        raise WrongSetting(field.name, f"is {named}; expected {field.words}") from error
 
 
 def check_decimal_points(field: Field, given: Any) -> None:
@@ -434,8 +437,11 @@ def shown(given: Any) -> str:
         return "empty"
     if isinstance(given, str) and re.fullmatch(NUMBER_PATTERN, given):
         return given
-    shown = repr(list(given) if isinstance(given, tuple) else given)
-    return shown if len(shown) <= LONGEST_SHOWN else f"{shown[: LONGEST_SHOWN - 3]}..."
+    return _cut(repr(list(given) if isinstance(given, tuple) else given))
+
+
+def _cut(words: str) -> str:
+    return words if len(words) <= LONGEST_SHOWN else f"{words[: LONGEST_SHOWN - 3]}..."
 
 
 # Saying what a kind is.
@@ -454,6 +460,8 @@ def worded(kind: Any, marks: tuple[Any, ...] = (), *, many: bool = False) -> str
         values = worded(inner[0], many=True)
         if many:
             return f"pairs of {values}" if len(inner) == 2 else f"lists of {values}"
+        if inner[-1] is Ellipsis and values.startswith(ONE_OF):
+            return f"one or more of {values.removeprefix(ONE_OF)}{like}"
         return f"{'a list of' if inner[-1] is Ellipsis else len(inner)} {values}{like}"
     if origin is list:
         length, values = mark_of(marks, Len), worded(inner[0], many=True)
@@ -475,7 +483,7 @@ def worded(kind: Any, marks: tuple[Any, ...] = (), *, many: bool = False) -> str
     choice, pattern = mark_of(marks, OneOf), mark_of(marks, Pattern)
     if origin is Literal or choice is not None:
         choices = list(map(str, inner if choice is None else choice.values))
-        return "one of " + ", ".join(choices) if len(choices) > 1 else choices[0]
+        return ONE_OF + ", ".join(choices) if len(choices) > 1 else choices[0]
     if pattern is not None and not many:
         return str(pattern.words)
     one = {

@@ -73,7 +73,7 @@ def pair_model(
     keys = [model_key(model) for model in models]
     if keys[0] == keys[1]:
         raise BadInput(
-            f"both models are the same one, of {models[0].identity}: nothing lies between a face and itself"
+            f"both models are the same one, of {models[0].identity}; expected two. Give another model for one end"
         )
     home, other = models
     place = _place(other, home)

@@ -110,7 +110,9 @@ class Expression:
 def check_models(models: Sequence[MorphModel]) -> None:
     """Raise `BadInput` if the models are fewer than two, differ in size, or lack keypoints or components."""
     if len(models) < 2:
-        raise BadInput(f"{len(models)} model was given; expected at least 2 to blend. Give more models")
+        raise BadInput(
+            f"the number of models is {len(models)}; expected at least 2 to blend. Give more models"
+        )
     first = models[0]
     for model in models:
         required_faceframe(model)

@@ -6,6 +6,7 @@ Heavy modules are imported only when a verb runs, so help is fast.
 
 from __future__ import annotations
 
+import difflib
 import io
 import json
 import os
@@ -18,7 +19,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import click
 
 from morphspace import __version__
-from morphspace.cli.options import parameters_of, request_of_words
+from morphspace.cli.options import VerbCommand, parameters_of, request_of_words
 from morphspace.errors import INTERRUPTED, BadInput, MorphspaceError
 from morphspace.requests import GROUPS, Verb, Workers, declared, verb_named, verb_names
 from morphspace.settings import Help, Option
@@ -65,6 +66,18 @@ class Verbs(click.Group):
             return Verbs(cmd_name, prefix=f"{cmd_name} ", help=GROUPS[cmd_name])
         return _command(cmd_name, verb_named(self.prefix + cmd_name))
 
+    def resolve_command(
+        self, ctx: click.Context, args: list[str]
+    ) -> tuple[str | None, click.Command | None, list[str]]:
+        """Find the command of a name. Raise a usage error with the nearest name if there is none."""
+        try:
+            return super().resolve_command(ctx, args)
+        except click.UsageError as error:
+            near = difflib.get_close_matches(args[0], self.list_commands(ctx), 1)
+            if not near:
+                raise
+            raise click.UsageError(f"{error.message} Did you mean {near[0]}?", error.ctx) from error
+
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         """List the verbs with the first sentence of their help, without building their options."""
         names = self.list_commands(ctx)
@@ -94,9 +107,7 @@ class Verbs(click.Group):
                 click.echo(error.format_message())
                 sys.exit(2)
             words = error.ctx.command_path if error.ctx else "morphspace"
-            _fail(
-                f"{error.format_message().rstrip('.')}. See {words} --help", 2, "Usage" if is_told else None
-            )
+            _fail(f"{_sentence(error.format_message())} See {words} --help", 2, "Usage" if is_told else None)
         except click.Abort:
             _fail("stopped", INTERRUPTED, "Interrupted" if is_told else None)
         except OSError as error:  # of the standard output: a verb's own files raise `UnwritableFile`
@@ -138,7 +149,7 @@ def _command(name: str, verb: Verb) -> click.Command:
         return _run(verb, {key: word for key, word in words.items() if key not in names}, given)
 
     params = [*parameters_of(verb.request), *shared]
-    return click.Command(name, params=params, callback=callback, help=verb.help)
+    return VerbCommand(name, params=params, callback=callback, help=verb.help)
 
 
 def _run(verb: Verb, words: dict[str, Any], shared: SharedRequest) -> int:
@@ -226,6 +237,10 @@ def _show(outcome: Outcome, quiet: bool, as_json: bool) -> None:
     elif not quiet:
         for line in outcome.lines:
             click.echo(CONTROL.sub(" ", line))
+
+
+def _sentence(words: str) -> str:
+    return words if words.endswith(("?", "?)")) else f"{words.rstrip('.')}."
 
 
 def _one_line(text: str) -> str:

@@ -23,6 +23,32 @@ def parameters_of(request: type) -> list[click.Parameter]:
     return [*arguments, *(_option(field) for field in fields if field.argument is None)]
 
 
+class VerbCommand(click.Command):
+    """A click command that refuses an option in place of another option's value."""
+
+    def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
+        """Parse the words. Raise a usage error that names the option whose values are missing."""
+        options = {
+            flag: one for one in self.get_params(ctx) if isinstance(one, click.Option) for flag in one.opts
+        }
+        words = iter(args)
+        for flag in words:
+            if flag == "--":
+                break
+            if flag not in options or options[flag].is_flag:
+                continue
+            needed = options[flag].nargs
+            for count in range(needed):
+                word = next(words, "")
+                if word in options:
+                    raise click.UsageError(
+                        f"{flag} has {count} value{'s' if count != 1 else ''} before {word}; expected {needed}. "
+                        f"Give {options[flag].metavar}",
+                        ctx,
+                    )
+        return super().parse_args(ctx, args)
+
+
 def usage_of(verb: Verb) -> str:
     """Return the usage line of a verb: its arguments and required options."""
     fields = fields_of(verb.request)

@@ -218,10 +218,10 @@ def _check(source: FrameSource, settings: BuildSettings) -> None:
     count = len(source.names)
     if count < MIN_FRAMES:
         raise BadInput(
-            f"{count} frames are too few for a model; expected at least {MIN_FRAMES}. Give more frames"
+            f"the number of frames is {count}; expected at least {MIN_FRAMES} for a model. Give more frames"
         )
     if settings.components < 1:
-        raise BadInput(f"components is {settings.components}; expected at least 1")
+        raise BadInput(f"components is {settings.components}; expected at least 1. Ask for more")
     methods.named(settings.flow)
     starts.check_start(settings.start)
     if settings.reference is not None and not 0 <= settings.reference < count:

@@ -128,7 +128,7 @@ def _of_row(model: MorphModel, path: Path, frame: str) -> tuple[LoadingVector, s
     if frame not in table.frame_names:
         listed = ", ".join(table.frame_names[:LISTED])
         raise BadInput(
-            f"{path} has no frame {frame!r}: its frames are {listed} and so on ({len(table.frame_names)} in all)"
+            f"{path} has no frame {frame!r}; expected one of its {len(table.frame_names)}, such as {listed}. Correct it"
         )
     values = table.loadings_sd[table.frame_names.index(frame)]
     return values * model.sd[: len(values)], digest_of_kept(path), notes

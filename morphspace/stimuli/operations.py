@@ -305,8 +305,8 @@ def worked(
     for motion in motions:
         if len(motion.loadings_sd) < LEAST_FRAMES:
             raise BadInput(
-                f"{motion.name} has {len(motion.loadings_sd)} frames; expected at least {LEAST_FRAMES}. Give a longer "
-                "motion"
+                f"the number of frames of {motion.name} is {len(motion.loadings_sd)}; expected at least "
+                f"{LEAST_FRAMES}. Give a longer motion"
             )
     found = list(motions)
     for place, operation in enumerate(operations):

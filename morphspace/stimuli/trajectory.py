@@ -134,7 +134,7 @@ def looped(loadings: LoadingTable, weights: AnyArray, join_frames: int | None = 
     """
     if len(loadings) < 3:
         raise BadInput(
-            f"the motion has {len(loadings)} frames; expected at least 3 for a loop. Use a longer one"
+            f"the number of frames of the motion is {len(loadings)}; expected at least 3 for a loop. Use a longer one"
         )
     most = usual_step([loadings], weights)
     return _bounded(np.concatenate([loadings, bridge(loadings, loadings, weights, most, join_frames)]))
@@ -150,7 +150,9 @@ def there_and_back(loadings: LoadingTable) -> LoadingTable:
     [0.0, 1.0, 2.0, 1.0]
     """
     if len(loadings) < 2:
-        raise BadInput(f"the motion has {len(loadings)} frames; expected at least 2. Use a longer one")
+        raise BadInput(
+            f"the number of frames of the motion is {len(loadings)}; expected at least 2. Use a longer one"
+        )
     return np.concatenate([loadings, loadings[-2:0:-1]])
 
 

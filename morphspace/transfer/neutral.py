@@ -224,7 +224,7 @@ def _frame(model: MorphModel, name: str | None) -> tuple[LoadingVector, str | No
     if not places:
         raise BadInput(
             f"the model of {model.identity} has no training frame {name!r}; expected a name from {names[0]} to "
-            f"{names[-1]}"
+            f"{names[-1]}. Correct it"
         )
     if len(places) > 1:
         raise BadInput(

@@ -81,7 +81,7 @@ class FlowRequest:
                 )
             return
         if len(self.pictures) != 2:
-            raise BadInput(f"{len(self.pictures)} pictures were given; expected 2, A and B")
+            raise BadInput(f"the number of given pictures is {len(self.pictures)}; expected 2. Give A and B")
         if self.output is None:
             raise BadInput("no output was given. Give -o with a name in .flo or .exr")
         if len(self.presets) != 1:

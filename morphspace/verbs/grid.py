@@ -64,7 +64,8 @@ def plan(request: GridRequest, model: MorphModel | None = None) -> Steps[Planned
     first, second = request.components
     if first == second or not all(1 <= component <= model.rank for component in request.components):
         raise BadInput(
-            f"the components are {first} and {second}; expected two different ones from 1 to {model.rank}"
+            f"the components are {first} and {second}; expected two different ones from 1 to {model.rank}. "
+            "Choose others"
         )
     rows, columns = (
         np.linspace(-amount, amount, steps).tolist()

@@ -49,7 +49,7 @@ def run(request: MakeActorsRequest) -> Steps[Outcome]:
     width, height = request.size
     if not (min(width, height) >= LEAST_SIDE_PX and max(width, height) <= MOST_SIDE_PX):
         raise BadInput(
-            f"the size is {width}x{height} px; expected sides from {LEAST_SIDE_PX} to {MOST_SIDE_PX} px"
+            f"the size is {width}x{height} px; expected sides from {LEAST_SIDE_PX} to {MOST_SIDE_PX} px. Choose another"
         )
     total = (request.identities + request.portraits) * request.frames
     written: list[Path] = []
@@ -74,7 +74,5 @@ def run(request: MakeActorsRequest) -> Steps[Outcome]:
             yield Step("draw", count, total)
         settings = request_document(request)
         record = write_record(request.output, "make-actors", settings, {}, written)
-    lines = (
-        f"{request.output}: {len(names)} actors of {request.frames} frames ({', '.join(names)}), truth in truth/",
-    )
+    lines = (f"{request.output}: {', '.join(names)} (frames of each: {request.frames}), truth in truth/",)
     return Outcome(lines, {"output": str(request.output), "actors": list(names)}, (), (*written, record))

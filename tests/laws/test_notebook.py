@@ -190,7 +190,7 @@ def test_every_keyword_is_a_setting_with_its_check_its_help_and_its_default(mode
         (lambda model: ms.trajectory(model, operations="loop"), "0 motions"),
         (
             lambda model: ms.trajectory(model, model.training[:1], operations="loop"),
-            "1 frames; expected at least 2",
+            "the number of frames of motion_0 is 1; expected at least 2",
         ),
         (
             lambda model: ms.trajectory(model, model.training, operations="loop", guide=model.training),

@@ -373,7 +373,7 @@ def test_only_work_frames_stay_in_the_work_folder(clip, tmp_path):
 
 def test_fewer_than_three_frames_are_refused(clip, make_clip, tmp_path):
     for count in (0, 1, 2):
-        with pytest.raises(BadInput, match=f"{count} frames are too few"):
+        with pytest.raises(BadInput, match=f"number of frames is {count}; expected at least 3"):
             built(make_clip(clip.pictures[:count]), tmp_path)
     assert built(make_clip(clip.pictures[:3]), tmp_path).model.rank == 2
 
