@@ -301,7 +301,7 @@ def converted(field: Field, given: Any, place: Callable[[str], Path] = Path) -> 
     try:
         return _converted(given, field.kind, field.marks, place)
     except _OtherKind as error:
-        is_many = isinstance(given, tuple) and given and field.values is not None  # words of the command line
+        is_many = isinstance(given, list | tuple) and given and field.values is not None
         named = _cut(", ".join(map(shown, given))) if is_many else shown(given)
         raise WrongSetting(field.name, f"is {named}; expected {field.words}") from error
 

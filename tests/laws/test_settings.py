@@ -79,7 +79,7 @@ def test_a_value_becomes_the_kind_of_the_setting(kind, given, expected):
         (Path, "", "x is empty; expected a path"),
         (Path, 3, "x is 3; expected a path"),
         (bool, 1, "x is 1; expected true or false"),
-        (tuple[int, int], [1, 2, 3], "x is [1, 2, 3]; expected 2 whole numbers"),
+        (tuple[int, int], [1, 2, 3], "x is 1, 2, 3; expected 2 whole numbers"),
         (tuple[int, int], ("a", "2"), "x is 'a', 2; expected 2 whole numbers"),
         (tuple[Literal["a", "b"], ...], ("c",), "x is 'c'; expected one or more of a, b"),
         (tuple[float, ...], "1,,2", "x is '1,,2'; expected a list of numbers"),
