@@ -18,7 +18,7 @@ import struct
 import sys
 import tempfile
 import time
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -52,6 +52,19 @@ DTYPES = {
 DTYPE_NAMES = {np.dtype(kind): name for name, kind in DTYPES.items()}
 
 
+_WATCHES: list[Callable[[Path, Path], None]] = []  # called with each complete file before it gets its name
+
+
+@contextlib.contextmanager
+def watching(watch: Callable[[Path, Path], None]) -> Iterator[None]:
+    """Call `watch` with the temporary and the final path of each file that the block writes, before it is renamed."""
+    _WATCHES.append(watch)
+    try:
+        yield
+    finally:
+        _WATCHES.remove(watch)
+
+
 @contextlib.contextmanager
 def whole_file(path: Path) -> Iterator[Path]:
     """Provide a temporary name beside `path` for a block; after the block flush it to the disk and rename it to `path`.
@@ -76,6 +89,8 @@ def whole_file(path: Path) -> Iterator[Path]:
         with temporary.open("rb+") as file:
             os.fsync(file.fileno())
         temporary.chmod(stat.S_IMODE(path.stat().st_mode) if path.exists() else 0o666 & ~_umask())
+        for watch in tuple(_WATCHES):
+            watch(temporary, path)
         temporary.replace(path)
     except OSError as error:
         raise UnwritableFile(

@@ -301,7 +301,6 @@ def written_mimicry(
         *looks.notes,
         *advice.advice_of(source.model, target.model, made, loadings_sd, looks, drive.gain, drive.neutral),
         *_clipped_note(made, drive.target),
-        *_stale_note(folder / MIMIC_FRAMES, pictures),
     )
     record = {
         **settings,
@@ -409,16 +408,6 @@ def _clipped_note(made: Sequence[FrameMade], target: MorphModel) -> tuple[str, .
     if clipped <= CLIPPED_PERCENT / 100 * len(made) * target.mask.size * 3:
         return ()
     return (f"{clipped} colour values left the range of the files and were clipped",)
-
-
-def _stale_note(folder: Path, pictures: Sequence[Path]) -> tuple[str, ...]:
-    others = sorted({path.name for path in folder.glob("*.png")} - {path.name for path in pictures})
-    if not others:
-        return ()
-    return (
-        f"the folder {folder.name} holds {len(others)} other pictures, such as {others[0]}, from "
-        "an earlier run",
-    )
 
 
 def _settings_words(

@@ -11,7 +11,9 @@ import contextlib
 import dataclasses
 import functools
 import glob
+import json
 import os
+import threading
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -20,21 +22,22 @@ from typing import Any
 from morphspace import storage
 from morphspace.documents import read_json_object
 from morphspace.errors import BadInput, MorphspaceError, UnreadableFile, UnwritableFile
-from morphspace.io.clips import FRAMES_FOLDER, SIDECAR_NAME, VIDEO_SUFFIXES
+from morphspace.io.clips import FRAMES_FOLDER, IMAGE_SUFFIXES, SIDECAR_NAME, VIDEO_SUFFIXES
+from morphspace.io.images import read_image
 from morphspace.io.stimulus_sidecars import STIMULUS, essentials_in
 from morphspace.io.tables import LOADINGS
 from morphspace.outcome import RECORD, RECORD_NAME, relative_name
 from morphspace.stimuli.drawing import Drawing
-from morphspace.storage import MARK_NAME, is_container_or_nothing, make_folder
+from morphspace.storage import MARK_NAME, digest_of_file, is_container_or_nothing, make_folder, read_container
 
 TABLE_SUFFIX = ".csv"
 LONGEST_NAME_BYTES = 200  # bytes of the 255 of a file system; records and unfinished files have longer names
 FOLDER_FIELDS = ("clip", "first", "last")  # request fields in which a folder is a clip
 SIDECAR_START = '{\n  "consent": '  # keys are sorted, and this key comes first in every sidecar
-MANIFEST_NAME = "manifest.json"
+MODEL_SUFFIX = ".morph"
 SET_FILES = (
     "manifest.csv",
-    MANIFEST_NAME,
+    "manifest.json",
     "loadings.csv",
     "loadings.json",
     "colour_loadings.csv",
@@ -64,6 +67,8 @@ class Output:
         Stimuli with their sidecars, by which each is recognised.
     inputs : collection of Path
         Files that are read and must not be replaced.
+    identity : str, optional
+        The person of a model or a table; that of another person is not replaced.
     """
 
     verb: str
@@ -71,6 +76,7 @@ class Output:
     files: Sequence[Path]
     stimuli: Sequence[tuple[Path, Path]] = ()
     inputs: Collection[Path] = ()
+    identity: str | None = None
 
     @functools.cached_property
     def is_folder(self) -> bool:
@@ -113,6 +119,7 @@ def writing(output: Output) -> Iterator[None]:
         If the folder cannot be made or written.
     """
     check_inputs(output.written, output.inputs)
+    _check_no_clip(output)
     before = _folders(output)
     try:
         inner = () if output.is_folder else (path.parent for path in output.written)
@@ -120,14 +127,17 @@ def writing(output: Output) -> Iterator[None]:
             make_folder(folder)
         with _locked(output) as mark:
             begun = check_origins(output)
+            earlier = {**begun, **_listed(output)}
             _remove_unfinished(output)
-            mark.write(output, begun)
+            mark.begin(output, begun)
             try:
-                yield
+                with storage.watching(mark.note):
+                    yield
             except BaseException:
-                if not begun and all(_is_recognised(path, output, ()) for path in _there(output)):
+                if not begun and all(_is_recognised(path, output, {}) for path in _there(output)):
                     mark.remove()
                 raise
+            _remove_stale(output, earlier)
             mark.remove()
     finally:
         _remove_empty(output, before)
@@ -150,14 +160,41 @@ def set_output(
 # What exists, and whose it is.
 
 
+def _check_no_clip(output: Output) -> None:
+    """Check that an output folder is no clip and holds no pictures of others, with which new ones would be mixed."""
+    if not output.is_folder or not output.folder.is_dir():
+        return
+    check_apart(output.folder, [path for path in output.inputs if path.suffix.lower() in IMAGE_SUFFIXES])
+    sidecar = output.folder / SIDECAR_NAME  # a stimulus may be called clip
+    if sidecar.exists() and not _is_sidecar(sidecar):
+        raise BadInput(
+            f"the output folder {output.folder} is a clip (it holds {SIDECAR_NAME}). Choose another output folder"
+        )
+    written = set(output.written)
+    for path in output.folder.iterdir() if output.stimuli else ():
+        is_alone = not (path.with_suffix(".json").exists() or path.with_name(f"{path.name}.json").exists())
+        if path.suffix.lower() in IMAGE_SUFFIXES and is_alone and path not in written and _is_content(path):
+            raise BadInput(
+                f"the output folder {output.folder} holds pictures that are no stimuli, such as {path.name}; they "
+                "would be mixed. Choose another output folder"
+            )
+
+
 def _there(output: Output) -> Iterator[Path]:
-    """Yield what exists under names of the output, unless it is empty."""
+    """Yield the existing files under names of the output that are not empty; of its own folders, all files."""
     for path in output.files:
         if path.is_dir() and not path.is_symlink():
-            if any(_is_content(one) for one in path.iterdir()):
+            if path in _folders_of(output):
+                yield from (one for one in path.rglob("*") if one.is_file() and _is_content(one))
+            elif any(map(_is_content, path.iterdir())):
                 yield path
         elif _holds(path):
             yield path
+
+
+def _folders_of(output: Output) -> list[Path]:
+    """Return the folders among the files of the output, whose names have no suffix."""
+    return [path for path in output.files if not path.suffix]
 
 
 def _holds(path: Path) -> bool:
@@ -169,58 +206,78 @@ def _is_content(path: Path) -> bool:
     return not (path.name.startswith(".") or path.name.lower() in SYSTEM_FILES)
 
 
-def check_origins(output: Output) -> frozenset[str]:
-    """Check that everything that would be replaced was written by an earlier run; return the names of a stopped run.
+def check_origins(output: Output) -> dict[str, str]:
+    """Check that everything that would be replaced was written by an earlier run; return what a stopped run wrote.
 
     Raises `BadInput` otherwise.
     """
-    begun = _begun(_object(output.mark), output)
+    begun = _begun(output)
     for path in _there(output):
         if not _is_recognised(path, output, begun):
             _refuse(path, output.verb)
+        found = None if output.is_folder or output.identity is None else _identity_in(path)
+        if found not in (None, output.identity):
+            raise BadInput(
+                f"{path} is of {found}, and would be replaced by one of {output.identity}. Choose another output, or "
+                f"move {path.name} away"
+            )
     for picture, sidecar in output.stimuli:
         for path in (picture, sidecar):
             if path.is_dir():
                 _refuse(path, output.verb)
-        if _holds(sidecar):
-            if not _is_sidecar(sidecar) and not _is_stimulus(picture):
-                _refuse(sidecar, output.verb)
-        elif _holds(picture) and not _is_stimulus(picture):
+        is_own = _is_sidecar(sidecar)
+        if _holds(picture) and not _is_stimulus(picture) and not (is_own and _is_damaged(picture)):
             _refuse(picture, output.verb)
+        if _holds(sidecar) and not is_own and not _is_stimulus(picture):
+            _refuse(sidecar, output.verb)
     return begun
 
 
 def _refuse(path: Path, verb: str) -> None:
-    what, lost = "a file", "it would be replaced"
-    if path.is_dir():
-        what, lost = "a folder", "new files would be mixed with its content"
+    what = "a folder" if path.is_dir() else "a file"
     raise BadInput(
-        f"{path} is {what} that no earlier {verb} wrote, and {lost}. Choose another output, or move {path.name} away"
+        f"{path} is {what} that no earlier {verb} wrote, or that was changed since, and would be replaced. Choose "
+        f"another output, or move {path.name} away"
     )
 
 
-def _is_recognised(path: Path, output: Output, begun: Collection[str]) -> bool:
-    """Return whether an earlier run wrote the file: by mark and record, and a single file also by its content."""
+def _is_recognised(path: Path, output: Output, begun: Mapping[str, str]) -> bool:
+    """Return whether an earlier run wrote a file that is unchanged since: by mark, record, or its own content."""
+    if path.is_dir():
+        return False
+    if path == output.record:
+        return bool(_listed(output)) or relative_name(path, output.folder) in begun
     name = relative_name(path, output.folder)
-    if name in begun:
+    known = {begun.get(name), _listed(output).get(name)} - {None}
+    if known and (digest_of_file(path) in known or _is_damaged(path)):
         return True
+    return not output.is_folder and _is_own_format(path) and not _is_of_a_set(path)
+
+
+def _listed(output: Output) -> dict[str, str]:
+    """Return the digests in the record of an earlier run of the verb, by name."""
     record = _object(output.record)
     listed = record.get("outputs")
-    if record.get("format") == RECORD.format and isinstance(listed, Mapping):
-        is_set = MANIFEST_NAME in listed and output.folder / MANIFEST_NAME in output.files
-        if record.get("verb") == output.verb or is_set:
-            if path == output.record or name in listed:
-                return True
-            if path.is_dir() and any(str(one).startswith(f"{name}/") for one in listed):
-                return True
-    return not output.is_folder and path.is_file() and _is_own_format(path)
+    is_own = record.get("format") == RECORD.format and record.get("verb") == output.verb
+    return (
+        {str(name): str(digest) for name, digest in listed.items()}
+        if is_own and isinstance(listed, dict)
+        else {}
+    )
+
+
+def _is_of_a_set(path: Path) -> bool:
+    """Return whether the record of the folder lists a file, which then belongs to a set."""
+    listed = _object(path.parent / RECORD_NAME).get("outputs")
+    return isinstance(listed, Mapping) and path.name in listed
 
 
 def _is_own_format(path: Path) -> bool:
-    """Return whether the content of a file shows that morphspace wrote it."""
+    """Return whether the content of a file shows that morphspace wrote it, and of a table that nobody changed it."""
     suffix = path.suffix.lower()
     if suffix == TABLE_SUFFIX:
-        return _object(path.with_suffix(".json")).get("format") == LOADINGS.format
+        beside = _object(path.with_suffix(".json"))
+        return beside.get("format") == LOADINGS.format and beside.get("table_sha256") == digest_of_file(path)
     if suffix == ".json":
         return _object(path).get("format") in (LOADINGS.format, RECORD.format)
     if suffix == ".html":
@@ -230,8 +287,40 @@ def _is_own_format(path: Path) -> bool:
     return path.is_file() and is_container_or_nothing(path)
 
 
+def _identity_in(path: Path) -> str | None:
+    """Return the person of a table or a model; None if it is unknown."""
+    suffix = path.suffix.lower()
+    if suffix == TABLE_SUFFIX:
+        found = _object(path.with_suffix(".json")).get("identity")
+    elif suffix == MODEL_SUFFIX:
+        try:
+            found = dict(read_container(path)[1].get("provenance") or {}).get("identity")
+        except (UnreadableFile, TypeError, ValueError):
+            found = None
+    else:
+        found = None
+    return found if isinstance(found, str) else None
+
+
 def _is_stimulus(picture: Path) -> bool:
     return picture.is_file() and essentials_in(picture) is not None
+
+
+def _is_damaged(picture: Path) -> bool:
+    """Return whether a picture or video cannot be read, so that nothing is lost if it is drawn again."""
+    suffix = picture.suffix.lower()
+    if suffix not in (*IMAGE_SUFFIXES, *VIDEO_SUFFIXES):
+        return False
+    try:
+        if suffix in IMAGE_SUFFIXES:
+            read_image(picture)
+        else:
+            from morphspace.io.video import video_info  # loads libav
+
+            video_info(picture)
+    except UnreadableFile:
+        return True
+    return False
 
 
 def _is_sidecar(path: Path) -> bool:
@@ -252,7 +341,7 @@ def _read(path: Path, start: int) -> bytes:
         with path.open("rb") as file:
             file.seek(start)
             return file.read(END_BYTES)
-    except FileNotFoundError:
+    except (FileNotFoundError, NotADirectoryError):
         return b""
     except OSError as error:
         raise UnreadableFile(
@@ -350,42 +439,71 @@ def check_apart(output: Path, inputs: Sequence[Path]) -> None:
             )
 
 
-# The mark, which is also the lock.
+# The mark, which is also the lock: a line that names the run, then a line for each file with its digest.
 
 
 @dataclass(frozen=True, eq=False)
 class _Mark:
-    path: Path
+    output: Output
     handle: int
+    lock: threading.Lock = dataclasses.field(default_factory=threading.Lock)
 
-    def write(self, output: Output, begun: Collection[str]) -> None:
-        names = dict.fromkeys((*begun, *(relative_name(path, output.folder) for path in output.files)))
-        document = {
-            "format": MARK_FORMAT,
-            "verb": output.verb,
-            "process": os.getpid(),
-            "files": list(names),
-        }
-        text = storage.json_text(document).encode()
+    def begin(self, output: Output, begun: Mapping[str, str]) -> None:
+        """Write the head, and the files of a stopped run."""
+        head = {"format": MARK_FORMAT, "verb": output.verb, "process": os.getpid()}
+        lines = [json.dumps(head), *(json.dumps(list(item)) for item in begun.items())]
         try:
-            os.lseek(self.handle, 0, os.SEEK_SET)
-            os.write(self.handle, text)
-            os.ftruncate(self.handle, len(text))
-            os.fsync(self.handle)
+            os.ftruncate(self.handle, 0)
         except OSError as error:
-            raise UnwritableFile(
-                f"cannot write {self.path}: {error.strerror or error}. Free space or choose another output"
-            ) from error
+            raise self._full(error) from error
+        self._append("".join(f"{line}\n" for line in lines))
+
+    def note(self, temporary: Path, path: Path) -> None:
+        """Note a file and its digest before it gets its name, if it is one of the output."""
+        inside = any(path.is_relative_to(folder) for folder in _folders_of(self.output))
+        if inside or path in self.output.files:
+            entry = [relative_name(path, self.output.folder), digest_of_file(temporary)]
+            self._append(f"{json.dumps(entry)}\n")
+
+    def _append(self, text: str) -> None:
+        with self.lock:
+            try:
+                os.lseek(self.handle, 0, os.SEEK_END)
+                os.write(self.handle, text.encode())
+                os.fsync(self.handle)
+            except OSError as error:
+                raise self._full(error) from error
+
+    def _full(self, error: OSError) -> UnwritableFile:
+        return UnwritableFile(
+            f"cannot write {self.output.mark}: {error.strerror or error}. Free space or choose another output"
+        )
 
     def remove(self) -> None:
-        self.path.unlink(missing_ok=True)
+        self.output.mark.unlink(missing_ok=True)
 
 
-def _begun(mark: Mapping[str, Any], output: Output) -> frozenset[str]:
-    """Return the names that a stopped run of the verb has marked as its own."""
-    names = mark.get("files")
-    is_own = mark.get("format") == MARK_FORMAT and mark.get("verb") == output.verb
-    return frozenset(map(str, names)) if is_own and isinstance(names, list) else frozenset()
+def _lines(mark: Path) -> list[Any]:
+    """Read the JSON of each complete line of a mark; none if it is missing or of another format."""
+    found: list[Any] = []
+    with contextlib.suppress(OSError, ValueError, RecursionError):  # missing; the last line may be cut short
+        for line in mark.read_text(encoding="utf-8").splitlines():
+            found.append(json.loads(line))
+    head = found[0] if found else None
+    return found if isinstance(head, dict) and head.get("format") == MARK_FORMAT else []
+
+
+def _begun(output: Output) -> dict[str, str]:
+    """Return the digests of the files that a stopped run of the verb wrote, by name."""
+    lines = _lines(output.mark)
+    if not lines:
+        if output.mark.is_file() and output.mark.stat().st_size and not output.mark.is_symlink():
+            _refuse(output.mark, output.verb)
+        return {}
+    head, *entries = lines
+    is_own = head.get("verb") == output.verb
+    pairs = (entry for entry in entries if isinstance(entry, list) and len(entry) == 2)
+    return {str(name): str(digest) for name, digest in pairs} if is_own else {}
 
 
 @contextlib.contextmanager
@@ -399,10 +517,10 @@ def _locked(output: Output) -> Iterator[_Mark]:
             raise UnwritableFile(
                 f"cannot write {output.mark}: {error.strerror or error}. Choose another output"
             ) from error
-        mark = _Mark(output.mark, handle)
+        mark = _Mark(output, handle)
         try:
             if not _is_free(handle):
-                holder = _object(output.mark)
+                (holder, *_) = _lines(output.mark) or [{}]
                 who = f"{holder.get('verb', 'run')} (process {holder.get('process', 'unknown')})"
                 raise BadInput(
                     f"another {who} is writing {output.place}. Wait until it ends, or choose another output"
@@ -455,6 +573,16 @@ def _remove_unfinished(output: Output) -> None:
     for folder, here in names.items():
         if folder.is_dir():
             storage.remove_unfinished(folder, names=here)
+
+
+def _remove_stale(output: Output, earlier: Mapping[str, str]) -> None:
+    """Remove from the output's own folders the unchanged files of an earlier run that this run did not write."""
+    written = _listed(output)
+    for name, digest in earlier.items() if written else ():
+        path = output.folder / name
+        inside = any(path.is_relative_to(folder) for folder in _folders_of(output))
+        if inside and name not in written and path.is_file() and digest_of_file(path) == digest:
+            path.unlink()
 
 
 def _folders(output: Output) -> set[Path]:

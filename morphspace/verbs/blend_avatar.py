@@ -125,7 +125,7 @@ def run(request: BlendAvatarRequest) -> Steps[Outcome]:
     check_file(request.output, SUFFIX)
     report = request.report or request.output.with_suffix(".html")
     check_file(report, ".html")
-    guarded = Output("blend-avatar", request.output, (request.output, report), inputs=paths)
+    guarded = Output("blend-avatar", request.output, (request.output, report), (), paths, request.identity)
     with held_models(paths) as held:
         models = [load_model(path) for path in held]
         settings, notes = blend_settings(request, models)

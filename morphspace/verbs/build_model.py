@@ -101,7 +101,8 @@ def run(request: BuildModelRequest) -> Steps[Outcome]:
     check_file(output, ".morph")
     report = request.report or output.with_suffix(".html")
     check_file(report, ".html")
-    guarded = Output("build-model", output, (output, report), inputs=clip.paths)
+    identity = request.identity or clip.sidecar.identity or clip.name
+    guarded = Output("build-model", output, (output, report), inputs=clip.paths, identity=identity)
     with writing(guarded), cache.work_folder(request.work_folder, output) as work_folder:
         made = yield from written_model(clip, settings, output, report, work_folder)
     document = {"model": str(output), "report": str(report), **build_document(made)}

@@ -51,7 +51,15 @@ def run(request: EncodeRequest) -> Steps[Outcome]:
     parts: list[Loadings] = []
     own = drawn_by(model, source)
     inputs = dict(zip(source.names, source.file_digests, strict=True))
-    with writing(Output("encode", request.output, (request.output, sidecar), inputs=source.clip.paths)):
+    with writing(
+        Output(
+            "encode",
+            request.output,
+            (request.output, sidecar),
+            inputs=source.clip.paths,
+            identity=model.identity,
+        )
+    ):
         for encoded in encoded_frames(model, source, own):
             parts.append(encoded.loadings)
             yield Step("encode", len(parts), len(source.names))

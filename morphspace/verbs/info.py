@@ -124,7 +124,15 @@ def run(request: InfoRequest) -> Steps[Outcome]:
         return Outcome(tuple(lines), document)
     table = request.loadings
     check_file(table, ".csv")
-    with writing(Output("info", table, (table, table.with_suffix(".json")), inputs=(request.model,))):
+    with writing(
+        Output(
+            "info",
+            table,
+            (table, table.with_suffix(".json")),
+            inputs=(request.model,),
+            identity=model.identity,
+        )
+    ):
         inputs = dict(origin.get("inputs") or {})
         written = write_loadings(
             table, model.training, model, request.model, inputs, times_s=model.training_times_s

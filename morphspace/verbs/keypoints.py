@@ -95,7 +95,7 @@ def run(request: KeypointsRequest, detector: Detector | None = None) -> Steps[Ou
     if request.automatic:
         changed = changed.with_landmarks(found.landmarks)
     marked_mean = marked_face(changed.mean.render(), found.faceframe)
-    with writing(Output("keypoints", output, (output, picture), inputs=kept)):
+    with writing(Output("keypoints", output, (output, picture), inputs=kept, identity=model.identity)):
         changed.save(output)
         write_image(picture, marked_mean)
     lines = (

@@ -125,7 +125,9 @@ def _write_table(request: TrajectoryRequest) -> Steps[Outcome]:
     paths = [*request.tables, *([] if request.guide is None else [request.guide])]
     check_file(request.output, ".csv")
     sidecar = request.output.with_suffix(".json")
-    guarded = Output("trajectory", request.output, (request.output, sidecar), inputs=paths)
+    guarded = Output(
+        "trajectory", request.output, (request.output, sidecar), inputs=paths, identity=model.identity
+    )
     check_origins(guarded)
     made = yield from _made(request, model)
     if len(made.motions) > 1:

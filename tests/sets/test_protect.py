@@ -7,13 +7,16 @@ import sys
 import textwrap
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from morphspace.errors import BadInput, UnwritableFile
+from morphspace.io.images import write_image
+from morphspace.io.tables import write_loadings_table
 from morphspace.outcome import write_record
 from morphspace.requests import OUTPUT, all_verbs
 from morphspace.sets.protect import MARK_NAME, Output, check_origins, writing
-from morphspace.storage import write_container
+from morphspace.storage import write_container, write_text
 
 
 def bytes_of(folder):
@@ -35,9 +38,8 @@ def complete(output):
         for path in output.files:
             if path == output.record:
                 continue
-            target = path / "one.png" if path.name == "frames" else path
-            target.parent.mkdir(parents=True, exist_ok=True)
-            target.write_bytes(b"ours")
+            target = path / "one.txt" if path.name == "frames" else path
+            write_text(target, "ours")
             written.append(target)
         write_record(output.folder, output.verb, {}, {}, written, output.record.name)
 
@@ -45,7 +47,7 @@ def complete(output):
 def test_a_finished_run_leaves_no_mark_and_its_files_are_replaced(tmp_path):
     output = folder_output(tmp_path / "out")
     complete(output)
-    assert set(bytes_of(tmp_path / "out")) == {"frames/one.png", "table.csv", "record.json"}
+    assert set(bytes_of(tmp_path / "out")) == {"frames/one.txt", "table.csv", "record.json"}
     complete(output)
 
 
@@ -54,7 +56,7 @@ def test_a_file_of_another_origin_is_refused_and_stays(tmp_path, name):
     mine = tmp_path / "out" / name
     mine.parent.mkdir(parents=True)
     mine.write_bytes(b"mine")
-    with pytest.raises(BadInput, match=f"{name.split('/')[0]} is a .* that no earlier mimic wrote"):
+    with pytest.raises(BadInput, match=f"{name} is a file that no earlier mimic wrote"):
         complete(folder_output(tmp_path / "out"))
     assert bytes_of(tmp_path / "out") == {name: b"mine"}
 
@@ -65,13 +67,68 @@ def test_the_files_of_another_verb_are_of_another_origin(tmp_path):
         complete(folder_output(tmp_path, "mimic"))
 
 
-def test_sets_of_stimuli_share_a_folder_whatever_verb_made_them(tmp_path):
-    names = ("manifest.json", "record.json")
-    complete(folder_output(tmp_path, "sweep", names))
-    complete(folder_output(tmp_path, "caricature", names))
-    complete(folder_output(tmp_path / "other", "mimic", ("loadings.csv", "record.json")))
-    with pytest.raises(BadInput, match="no earlier caricature wrote"):
-        complete(folder_output(tmp_path / "other", "caricature", (*names, "loadings.csv")))
+@pytest.mark.parametrize("name", ["table.csv", "frames/one.txt"])
+def test_a_file_that_was_changed_since_is_refused_and_stays(tmp_path, name):
+    complete(folder_output(tmp_path))
+    (tmp_path / name).write_bytes(b"ours, with ratings of mine")
+    with pytest.raises(BadInput, match=f"{name} is a file .* or that was changed since"):
+        complete(folder_output(tmp_path))
+    assert (tmp_path / name).read_bytes().endswith(b"mine")
+
+
+def test_files_of_an_earlier_run_that_the_next_does_not_write_go_unless_they_were_changed(tmp_path):
+    output = folder_output(tmp_path)
+    with writing(output):
+        for name in ("one.txt", "two.txt"):
+            write_text(tmp_path / "frames" / name, name)
+        write_record(tmp_path, "mimic", {}, {}, sorted((tmp_path / "frames").iterdir()))
+    complete(output)
+    assert set(bytes_of(tmp_path)) == {"frames/one.txt", "table.csv", "record.json"}
+
+
+def test_a_file_with_the_name_of_the_mark_is_refused_and_stays(tmp_path):
+    (tmp_path / MARK_NAME).write_bytes(b"mine")
+    with pytest.raises(BadInput, match="no earlier mimic wrote"):
+        complete(folder_output(tmp_path))
+    assert bytes_of(tmp_path) == {MARK_NAME: b"mine"}
+
+
+def test_a_set_is_not_written_into_a_clip_or_among_pictures(tmp_path):
+    stimuli = [(tmp_path / "a.png", tmp_path / "a.json")]
+    (tmp_path / "clip.json").write_text('{"identity": "anna"}')
+    with pytest.raises(BadInput, match="is a clip"):
+        complete(folder_output(tmp_path))
+    (tmp_path / "clip.json").unlink()
+    (tmp_path / "photo.jpg").write_bytes(b"mine")
+    with pytest.raises(BadInput, match=r"no stimuli, such as photo\.jpg"):
+        complete(folder_output(tmp_path, "sample", ("record.json",), stimuli=stimuli))
+    with pytest.raises(BadInput, match="holds the input frames"):
+        complete(folder_output(tmp_path, inputs=[tmp_path / "photo.jpg"]))
+    assert set(bytes_of(tmp_path)) == {"photo.jpg"}
+
+
+def test_a_table_of_another_person_and_one_of_a_set_are_refused(tmp_path):
+    path = tmp_path / "a.csv"
+    write_loadings_table(path, np.ones((1, 1)), ["f"], {"identity": "anna"})
+    for identity, found in (("anna", None), ("ben", "is of anna")):
+        output = Output("encode", path, [path, path.with_suffix(".json")], identity=identity)
+        if found is None:
+            check_origins(output)
+        else:
+            with pytest.raises(BadInput, match=found):
+                check_origins(output)
+    write_record(tmp_path, "sample", {}, {}, [path])
+    with pytest.raises(BadInput, match="no earlier encode wrote"):
+        check_origins(single(path))
+
+
+def test_a_file_put_where_a_killed_run_would_have_written_stays(tmp_path):
+    started = run_until_killed(tmp_path, "os._exit(9)")
+    started.communicate()
+    (tmp_path / "table.csv").write_bytes(b"mine")
+    with pytest.raises(BadInput, match="no earlier mimic wrote"):
+        complete(folder_output(tmp_path))
+    assert (tmp_path / "table.csv").read_bytes() == b"mine"
 
 
 @pytest.mark.parametrize("name", [".DS_Store", "Thumbs.db"])
@@ -110,8 +167,7 @@ def test_a_single_file_is_recognised_by_its_content(tmp_path, name, content):
 
 
 def test_files_with_the_marks_of_morphspace_are_replaced(tmp_path):
-    (tmp_path / "a.json").write_text('{"format": "morphspace-loadings"}')
-    (tmp_path / "a.csv").write_text("frame,pc1\n")
+    write_loadings_table(tmp_path / "a.csv", np.ones((1, 1)), ["f"], {})
     (tmp_path / "a.html").write_text("<p>x</p><footer>Written by morphspace. It loads nothing.</footer>")
     write_container(tmp_path / "a.morph", {}, {"format": "morphspace-model"})
     cut = (tmp_path / "a.morph").read_bytes()[:60]
@@ -127,8 +183,7 @@ def test_the_files_of_a_failed_run_are_taken_over_and_one_without_files_leaves_n
         raise KeyboardInterrupt
     assert not (tmp_path / "deep").exists()
     with pytest.raises(KeyboardInterrupt), writing(output):
-        (output.folder / "frames").mkdir()
-        (output.folder / "frames" / "half.png").write_bytes(b"ours")
+        write_text(output.folder / "frames" / "half.png", "ours")
         raise KeyboardInterrupt
     assert (output.folder / MARK_NAME).is_file()
     check_origins(output)
@@ -144,9 +199,10 @@ def run_until_killed(folder, then):
         import os, sys, time
         from pathlib import Path
         from morphspace.sets.protect import Output, writing
+        from morphspace.storage import write_text
         folder = Path({str(folder)!r})
         with writing(Output("mimic", folder, [folder / "frames", folder / "table.csv", folder / "record.json"])):
-            (folder / "table.csv").write_bytes(b"half done")
+            write_text(folder / "table.csv", "half done")
             (folder / ".table.abcdefgh.csv").write_bytes(b"unfinished")
             (folder / ".other.abcdefgh.csv").write_bytes(b"of another program")
             print("inside", flush=True)
@@ -162,10 +218,10 @@ def run_until_killed(folder, then):
 def test_a_killed_run_is_recognised_and_its_unfinished_files_go(tmp_path):
     started = run_until_killed(tmp_path, "os._exit(9)")
     started.communicate()
-    assert json.loads((tmp_path / MARK_NAME).read_text())["process"] == started.pid
+    assert json.loads((tmp_path / MARK_NAME).read_text().splitlines()[0])["process"] == started.pid
     complete(folder_output(tmp_path))
     assert set(bytes_of(tmp_path)) == {
-        "frames/one.png",
+        "frames/one.txt",
         "table.csv",
         "record.json",
         ".other.abcdefgh.csv",
@@ -214,3 +270,16 @@ def test_every_verb_with_an_output_asks_the_guard(verb):
     """The file of the verb enters `writing`, or hands its set to a function that does; replay writes new names only."""
     source = Path(verb.module.__file__).read_text(encoding="utf-8")
     assert verb.name == "replay" or any(word in source for word in ("writing(", "write_set(", "write_batch("))
+
+
+def test_a_picture_that_cannot_be_read_is_drawn_again_and_one_put_in_its_place_stays(tmp_path):
+    picture = tmp_path / "frames" / "one.png"
+    output = folder_output(tmp_path)
+    with writing(output):
+        write_image(picture, np.zeros((4, 4, 3), np.float32))
+        write_record(tmp_path, "mimic", {}, {}, [picture])
+    picture.write_bytes(picture.read_bytes()[:-5])
+    check_origins(output)
+    write_image(picture, np.ones((4, 4, 3), np.float32))
+    with pytest.raises(BadInput, match="changed since"):
+        check_origins(output)

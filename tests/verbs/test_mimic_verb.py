@@ -241,7 +241,7 @@ def test_a_stopped_run_goes_on_and_gives_the_same_bytes(work, monkeypatch):
         if step.stage == "mimic" and step.done == 5:
             steps.close()
     assert not (work / "out" / "quality.csv").exists() and not (work / "out" / "record.json").exists()
-    (work / "out" / "frames" / "frame_001.png").write_bytes(b"another picture")
+    (work / "out" / "frames" / "frame_001.png").unlink()
     written = []
     monkeypatch.setattr(
         mimicry,
@@ -388,11 +388,15 @@ def test_little_motion_kept_is_said(work, actor):
     assert not any("of the motion's energy" in note for note in run(work, components=1, gain=0.0).warnings)
 
 
-def test_pictures_of_an_earlier_run_are_said(work, actor):
+def test_pictures_of_an_earlier_run_go_and_those_of_others_stop_the_next(work, actor):
     run(work)
     given = clip(work, actor, 0.5 * actor.training.values[:2])
-    notes = run(work, frames=given).warnings
-    assert any("holds 12 other pictures, such as frame_000.png" in note for note in notes)
+    run(work, frames=given)
+    frames = sorted(path.name for path in (work / "out" / "frames").iterdir())
+    assert frames == ["clip_000.png", "clip_001.png"]
+    (work / "out" / "frames" / "mine.png").write_bytes(b"mine")
+    with pytest.raises(BadInput, match=r"mine\.png is a file that no earlier mimic wrote"):
+        run(work, frames=given)
 
 
 @pytest.mark.parametrize("name", ["frames/old.png", "loadings.csv", "index.html", "side-by-side.mp4"])
@@ -813,8 +817,7 @@ def test_what_a_killed_run_left_unfinished_goes_and_other_settings_take_all_of_i
     for name in ("frames/.frame_007.q9dmwn9r.png", "mimic.work/.abc.0_x9y8zz.json", ".index.q9dmwn9r.html"):
         (work / "out" / name).write_bytes(b"half")
     (work / "out" / ".mine.png").write_bytes(b"mine")
-    outcome = run(work, gain=0.5)
-    assert not any("other pictures" in note for note in outcome.warnings)
+    run(work, gain=0.5)
     run(work, gain=0.5, output=work / "fresh")
     (work / "out" / ".mine.png").unlink()
     lying = [
