@@ -190,7 +190,7 @@ def test_a_missing_member_file_or_source_is_named(wheel, origin, tmp_path):
 
 def test_a_folder_that_cannot_be_written_is_said_before_anything_is_fetched(origin, tmp_path):
     (tmp_path / "file").write_text("in the way")
-    with pytest.raises(UnwritableFile, match="cannot write into"):
+    with pytest.raises(UnwritableFile, match="is a file; expected a folder"):
         fetched(None, tmp_path / "file" / "to", origin)
 
 

@@ -620,7 +620,7 @@ def test_an_empty_clip_is_refused(work):
 
 def test_a_file_where_the_folder_should_be_is_refused(work):
     (work / "out").write_text("mine")
-    with pytest.raises(UnwritableFile, match="cannot write into"):
+    with pytest.raises(UnwritableFile, match="is a file; expected a folder"):
         run(work)
     assert (work / "out").read_text() == "mine"
 

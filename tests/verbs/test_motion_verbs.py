@@ -243,7 +243,7 @@ def test_a_mean_trajectory_that_was_kept_serves_as_the_guide(files, tmp_path):
 @pytest.mark.parametrize(
     ("change", "said"),
     [
-        ({"tables": ("still.csv",)}, "1 frames; expected at least 2"),
+        ({"tables": ("still.csv",)}, "the number of frames of still is 1; expected at least 2"),
         ({"tables": ()}, "no table"),
         ({"tables": ("smile.csv", "fast.csv"), "operations": ("splice",)}, "rate=10 before splice"),
         ({"operations": ("speed=0",)}, "speed is 0"),
