@@ -4,6 +4,11 @@ Every message is one line with the object, the two values that disagree, and wha
 are faults of the input (the command line exits with 2); a plain `MorphspaceError` is a fault of morphspace (1).
 """
 
+from __future__ import annotations
+
+import importlib
+from typing import Any
+
 INTERRUPTED = 130  # exit code; 128 and the number of SIGINT, as shells report it
 
 
@@ -33,3 +38,13 @@ class ReferenceMismatch(BadInput):
 
 class ModelFileError(BadInput):
     """A `.morph` file is cut short, of a later version, or not a model."""
+
+
+def optional(module: str) -> Any:
+    """Import a module of a package that only a notebook needs. Raises `BadInput` if it is not installed."""
+    try:
+        return importlib.import_module(module)
+    except ModuleNotFoundError as error:
+        raise BadInput(
+            f"{module.partition('.')[0]} is not installed; expected it for this function. Run pip install 'morphspace[notebook]'"
+        ) from error

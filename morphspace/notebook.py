@@ -8,8 +8,11 @@ from __future__ import annotations
 
 import functools
 import inspect
+import numbers
+import os
 import tempfile
 import textwrap
+import warnings
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Executor
 from contextlib import AbstractContextManager, nullcontext
@@ -30,13 +33,13 @@ from morphspace.io.images import write_image
 from morphspace.model.display import card, picture_tag
 from morphspace.model.encode import encoded_frames, framed_for, joined
 from morphspace.model.from_clip import ClipSettings, build_clip
-from morphspace.model.loadings import Loadings
+from morphspace.model.loadings import Loadings, places_of
 from morphspace.model.model import MorphModel, load_model
 from morphspace.outcome import versions as package_versions
 from morphspace.requests import Workers, field_named, settings_in
 from morphspace.sets.continuum import GIVEN, continuum_drawings, spaced_series
 from morphspace.sets.mimicry import MimicSettings, drive_of
-from morphspace.settings import converted, field_of
+from morphspace.settings import WrongSetting, converted, field_of, shown
 from morphspace.steps import Step, Steps, in_order, result_of, using_workers
 from morphspace.stimuli.caricature import change_of
 from morphspace.stimuli.continuum import Line, even_positions, given_positions
@@ -62,7 +65,8 @@ FRAME_RATE_HZ = 25.0  # of a motion whose model does not state its rate
 class Faces(Sequence[Image]):
     """Faces of one model, drawn when they are asked for.
 
-    `faces[i]` is an image (h, w, 3) float32 in [0, 1]; a notebook shows the first as a contact sheet.
+    `faces[i]`, by number or name, is an image (h, w, 3) float32 in [0, 1]; a slice or a list gives a list of images. A
+    notebook shows the first faces as a contact sheet.
 
     Attributes
     ----------
@@ -79,10 +83,8 @@ class Faces(Sequence[Image]):
         return len(self.names)
 
     def __getitem__(self, index: Any) -> Any:
-        if isinstance(index, slice):
-            return [self[place] for place in range(len(self))[index]]
-        place = range(len(self))[index]
-        return np.clip(self.draw(place), 0, 1)
+        images = [np.clip(self.draw(place), 0, 1) for place in places_of(self.names, index)]
+        return images[0] if isinstance(index, str | numbers.Integral) else images
 
     def __iter__(self) -> Iterator[Image]:
         return (self[place] for place in range(len(self)))
@@ -154,7 +156,11 @@ def _with_settings(request: type, *names: str) -> Callable[[Callable[..., Result
 
         @functools.wraps(function)
         def checked(*given: Any, **settings: Any) -> Result:
-            for name in settings:
+            for name, value in settings.items():
+                if isinstance(value, np.ndarray) and value.ndim == 1:
+                    settings[name] = value.tolist()
+                if name == "identity" and isinstance(value, numbers.Real):
+                    raise WrongSetting(name, f"is {value}; expected a text")
                 if name not in names and name not in own.parameters:
                     raise BadInput(
                         f"{name} is no setting of {function.__name__}; expected one of {', '.join(names)}"
@@ -174,14 +180,17 @@ def _with_settings(request: type, *names: str) -> Callable[[Callable[..., Result
     *("flow", "start", "warp_weight", "work_folder", "identity"),
 )
 def build(
-    *sources: str | Path, workers: int | Executor | None = None, progress: bool = False, **settings: Any
+    *sources: str | Path | Sequence[str | Path],
+    workers: int | Executor | None = None,
+    progress: bool = False,
+    **settings: Any,
 ) -> MorphModel:
     """Build a model of one person from a folder, a quoted glob, a video, or image files (Nagle section 2).
 
     Parameters
     ----------
     sources
-        What shows the person.
+        What shows the person; a list stands for its members.
     workers
         How many frames to process in parallel, or the executor that does; None for one per core.
     progress
@@ -197,7 +206,7 @@ def build(
     BadInput
         If the clip cannot be read, has fewer than three frames, or a setting cannot be used.
     """
-    request = BuildModelRequest(sources=tuple(map(str, sources)), **settings)
+    request = BuildModelRequest(sources=_sources(sources), **settings)
     clip, asked = open_clip(request.sources), settings_in(request, ClipSettings)
     with _work_folder(request.work_folder) as folder:
         return _run(build_clip(clip, asked, Path(folder)), progress, workers)[0].model
@@ -219,7 +228,7 @@ def load(path: Path | str) -> MorphModel:
 @_with_settings(EncodeRequest, "crop")
 def encode(
     model: MorphModel,
-    *sources: str | Path,
+    *sources: str | Path | Sequence[str | Path],
     workers: int | Executor | None = None,
     progress: bool = False,
     **settings: Any,
@@ -230,7 +239,7 @@ def encode(
     ----------
     model
     sources
-        A folder, a quoted glob, a video, or image files.
+        A folder, a quoted glob, a video, or image files; a list stands for its members.
     workers
         How many frames to process in parallel, or the executor that does; None for one per core.
     progress
@@ -243,9 +252,7 @@ def encode(
         If the images cannot be read or are too small to read a face from.
     """
     _check_models(model=model)
-    request = EncodeRequest(
-        model=NOT_WRITTEN, sources=tuple(map(str, sources)), output=NOT_WRITTEN, **settings
-    )
+    request = EncodeRequest(model=NOT_WRITTEN, sources=_sources(sources), output=NOT_WRITTEN, **settings)
     source = framed_for(model, request.sources, request.crop)
 
     def steps() -> Steps[Loadings]:
@@ -330,7 +337,7 @@ def mimic(
 def blend(
     *models: MorphModel, workers: int | Executor | None = None, progress: bool = False, **settings: Any
 ) -> MorphModel:
-    """Blend several people into one model that shows nobody (Nagle section 4).
+    """Blend several people into one model that shows nobody (Nagle section 4). Notes of the blend are warnings.
 
     Parameters
     ----------
@@ -350,9 +357,12 @@ def blend(
     _check_models(**{f"model {place}": model for place, model in enumerate(models, 1)})
     names = tuple(model.identity for model in models)
     request = BlendAvatarRequest(models=names, output=NOT_WRITTEN, **settings)
-    asked, _ = blend_settings(request, models)
+    asked, notes = blend_settings(request, models)
     with _work_folder(request.work_folder) as folder:
-        return _run(blend_steps(models, asked, Path(folder)), progress, workers).model
+        avatar = _run(blend_steps(models, asked, Path(folder)), progress, workers)
+    for note in (*notes, *avatar.notes):
+        warnings.warn(note, stacklevel=3)
+    return avatar.model
 
 
 @_with_settings(CaricatureRequest, "gains", "warp_gains", "texture_gains", "components", "region")
@@ -487,7 +497,7 @@ def plot(what: MorphModel | Loadings, components: int | None = None) -> Any:
     """Draw a model's first components, or loadings over the frames, as a matplotlib figure."""
     if not isinstance(what, MorphModel | Loadings):
         raise BadInput(
-            f"a plot of {what!r:.60} was asked for; expected a model or loadings. Give one of these"
+            f"a plot of {shown(what)} was asked for; expected a model or loadings. Give one of these"
         )
     draw_components = what.plot_components if isinstance(what, MorphModel) else what.plot
     if components is None:
@@ -507,11 +517,22 @@ def _of_sd(model: MorphModel, values_sd: LoadingTable, names: Sequence[str]) -> 
     return Loadings(values_sd, tuple(names), model.model_id, "sd")
 
 
+def _sources(given: Sequence[Any]) -> tuple[str, ...]:
+    """Return what shows a person as texts; one list stands for its members."""
+    sources = given[0] if len(given) == 1 and isinstance(given[0], list | tuple) else given
+    for one in sources:
+        if not isinstance(one, str | os.PathLike) or not str(one).strip():
+            raise BadInput(
+                f"a source is {shown(one)}; expected a folder, a quoted glob, a video or image files. Give its name"
+            )
+    return tuple(map(str, sources))
+
+
 def _check_models(**models: Any) -> None:
     for name, given in models.items():
         if not isinstance(given, MorphModel):
             raise BadInput(
-                f"{name} is {given!r:.60}; expected a model. Open one with `load`, or make one with `build`"
+                f"{name} is {shown(given)}; expected a model. Open one with `load`, or make one with `build`"
             )
 
 
@@ -519,7 +540,7 @@ def _check_loadings(**loadings: Any) -> None:
     for name, given in loadings.items():
         if not isinstance(given, Loadings):
             raise BadInput(
-                f"{name} is {given!r:.60}; expected loadings. Make them with `encode`, or use `model.training`"
+                f"{name} is {shown(given)}; expected loadings. Make them with `encode`, or use `model.training`"
             )
 
 

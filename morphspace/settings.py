@@ -437,7 +437,9 @@ def shown(given: Any) -> str:
         return "empty"
     if isinstance(given, str) and re.fullmatch(NUMBER_PATTERN, given):
         return given
-    return _cut(repr(list(given) if isinstance(given, tuple) else given))
+    if getattr(given, "shape", ()):
+        return f"an array of shape {tuple(given.shape)}"
+    return _cut(" ".join(repr(list(given) if isinstance(given, tuple) else given).split()))
 
 
 def _cut(words: str) -> str:
@@ -523,8 +525,7 @@ def _metavar(kind: Any, marks: tuple[Any, ...]) -> str:
             return " ".join([one] * len(inner))
         return f"{one},..." if _is_number(inner[0]) else one
     if kind is type(None):
-        spelled = mark_of(marks, Spelled)
-        return "" if spelled is None else spelled.nothing
+        return worded(kind, marks)
     choice = mark_of(marks, OneOf)
     if choice is not None:
         return "|".join(choice.values)

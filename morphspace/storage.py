@@ -350,11 +350,13 @@ def read_container(path: Path) -> tuple[dict[str, AnyArray], dict[str, Any]]:
                     f"{path} has {size} bytes; expected at least 8 for its header. Copy it again or rebuild it"
                 )
             (length,) = struct.unpack("<Q", head)
-            if length > min(MAX_HEADER_BYTES, size - 8):
-                raise UnreadableFile(
-                    f"{path} is not a morphspace file: its header needs {length} bytes, it has {size}. Check the name"
-                )
-            text = file.read(length)
+            text = file.read(min(length, MAX_HEADER_BYTES, size))
+        if len(text) < length:
+            raise UnreadableFile(
+                f"{path} is cut short: it has {size} bytes; expected {length + 8} or more. Copy it again or rebuild it"
+                if text.startswith(CONTAINER_START) and length <= MAX_HEADER_BYTES
+                else f"{path} is no .morph file; expected the header of one. Check the name"
+            )
         header = parsed_json(text)
         document = parsed_json(header.pop("__metadata__")["morphspace"])
         if not isinstance(document, dict):

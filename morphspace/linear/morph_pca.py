@@ -5,16 +5,19 @@ A thin adapter: the mathematics is `pca.fit_basis`. It needs scikit-learn, which
 
 from __future__ import annotations
 
+import numbers
 from typing import Any, Self
 
 import numpy as np
-from sklearn.base import BaseEstimator, ClassNamePrefixFeaturesOutMixin, TransformerMixin
-from sklearn.utils.validation import check_is_fitted, validate_data
 
 from morphspace.arrays import AnyArray
-from morphspace.errors import BadInput
+from morphspace.errors import BadInput, optional
 from morphspace.linear.pca import fit_basis
 from morphspace.linear.rows import RowArray
+
+optional("sklearn")
+from sklearn.base import BaseEstimator, ClassNamePrefixFeaturesOutMixin, TransformerMixin  # noqa: E402
+from sklearn.utils.validation import check_is_fitted, validate_data  # noqa: E402
 
 
 class MorphPCA(ClassNamePrefixFeaturesOutMixin, TransformerMixin, BaseEstimator):  # type: ignore[misc]
@@ -68,9 +71,11 @@ class MorphPCA(ClassNamePrefixFeaturesOutMixin, TransformerMixin, BaseEstimator)
                 "negative value. Give one weight for each column of X."
             )
         wanted = count - 1 if self.n_components is None else self.n_components
-        if wanted < 1:
-            raise BadInput(f"n_components is {wanted}; expected at least 1, or None for all of them.")
-        mean, basis, _ = fit_basis(RowArray(rows), weight.astype(np.float32), wanted)
+        if not isinstance(wanted, numbers.Integral) or wanted < 1:
+            raise BadInput(
+                f"n_components is {wanted!r}; expected a whole number from 1 up, or None for all. Correct it"
+            )
+        mean, basis, _ = fit_basis(RowArray(rows), weight.astype(np.float32), int(wanted))
         self.mean_ = mean
         self.basis_ = basis
         self.components_ = basis.components
@@ -87,7 +92,13 @@ class MorphPCA(ClassNamePrefixFeaturesOutMixin, TransformerMixin, BaseEstimator)
     def inverse_transform(self, X: AnyArray) -> AnyArray:
         """Return the rows (n, d) of loadings X (n, k)."""
         check_is_fitted(self)
-        return self.mean_ + self.basis_.expand(np.asarray(X))
+        loadings = np.asarray(X)
+        if loadings.shape[-1:] != (self.basis_.rank,):
+            raise BadInput(
+                f"the loadings have shape {loadings.shape}; expected (n, {self.basis_.rank}), one column a component. "
+                "Give what transform returned"
+            )
+        return self.mean_ + self.basis_.expand(loadings)
 
     @property
     def _n_features_out(self) -> int:

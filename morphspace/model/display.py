@@ -9,18 +9,21 @@ from __future__ import annotations
 import base64
 from collections.abc import Mapping, Sequence
 from html import escape
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
+from annotated_types import Ge
 
 from morphspace.arrays import Image
-from morphspace.errors import BadInput
+from morphspace.errors import BadInput, optional
 from morphspace.io.images import jpeg_bytes
+from morphspace.settings import converted, field_of
 
 CARD_COMPONENTS, CARD_SD = 3, 2.0  # number; SD, as in the figures of Nagle et al.
 CARD_WIDTH_PX = 90  # px, a face on a card
 FIGURE_STEPS = 5  # faces of a component, from minus to plus
 UNIT_NAMES = {"sd": "SD of each component", "raw": "raw, of the model's inner product"}
+DRAWN, AMOUNT = field_of("components", Annotated[int, Ge(1)]), field_of("amount_sd", float)
 LEGEND_AT_MOST = 10  # lines; a longer legend covers the figure
 
 
@@ -87,15 +90,16 @@ def plot_components(model: Any, components: int = 3, amount_sd: float = 2.0) -> 
     BadInput
         If the model has no component, or fewer than 1 is requested.
     """
-    from matplotlib.figure import Figure
-
-    count = min(components, model.rank)
+    count = min(converted(DRAWN, components), model.rank)
+    amount_sd = converted(AMOUNT, amount_sd)
     if count < 1:
         raise BadInput(
-            f"components is {components} and the model has {model.rank}; expected at least 1 of each"
+            f"the model of {model.identity} has 0 components; expected at least 1 to draw. Build it from more frames"
         )
     amounts = np.linspace(-amount_sd, amount_sd, FIGURE_STEPS)
-    figure = Figure(figsize=(1.4 * FIGURE_STEPS, 1.8 * count), layout="constrained")
+    figure = optional("matplotlib.figure").Figure(
+        figsize=(1.4 * FIGURE_STEPS, 1.8 * count), layout="constrained"
+    )
     axes = figure.subplots(count, FIGURE_STEPS, squeeze=False)
     for place in range(count):
         for axis, amount in zip(axes[place], amounts, strict=True):
@@ -107,10 +111,8 @@ def plot_components(model: Any, components: int = 3, amount_sd: float = 2.0) -> 
 
 def plot_loadings(loadings: Any, components: int = 6) -> Any:
     """Draw the first loadings over the frames, one line a component; return the matplotlib figure."""
-    from matplotlib.figure import Figure
-
-    count = min(components, loadings.values.shape[1])
-    figure = Figure(figsize=(7, 3), layout="constrained")
+    count = min(converted(DRAWN, components), loadings.values.shape[1])
+    figure = optional("matplotlib.figure").Figure(figsize=(7, 3), layout="constrained")
     axis = figure.subplots()
     for place in range(count):
         axis.plot(loadings.values[:, place], label=f"component {place + 1}")

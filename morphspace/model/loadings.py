@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import numbers
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Literal, Protocol
 
 import numpy as np
 
 from morphspace.arrays import AnyArray, LoadingTable, read_only
-from morphspace.errors import BadInput, ReferenceMismatch
+from morphspace.errors import BadInput, ReferenceMismatch, optional
 from morphspace.model import display
+from morphspace.settings import shown
 
 Unit = Literal["raw", "sd"]
 
@@ -22,6 +25,35 @@ class HasComponents(Protocol):
 
     @property
     def sd(self) -> AnyArray: ...
+
+
+def places_of(names: Sequence[str], index: Any) -> list[int]:
+    """Return the places of the faces that a number, a name, a slice, or a list of these selects.
+
+    Raises
+    ------
+    BadInput
+        For anything else.
+    IndexError
+        For a number beyond the last face.
+
+    Examples
+    --------
+    >>> places_of(["a", "b", "c"], ["c", -2])
+    [2, 1]
+    """
+    if isinstance(index, slice):
+        return list(range(len(names))[index])
+    if isinstance(index, list | tuple | np.ndarray):
+        return [place for one in index for place in places_of(names, one)]
+    if isinstance(index, str) and index in names:
+        return [names.index(index)]
+    if isinstance(index, numbers.Integral) and not isinstance(index, bool):
+        return [range(len(names))[int(index)]]
+    raise BadInput(
+        f"the face is {shown(index)}; expected a number below {len(names)}, a slice, a name, such as "
+        f"{', '.join(names[:1])}, or a list of these. Correct it"
+    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,12 +99,11 @@ class Loadings:
             )
         object.__setattr__(self, "values", read_only(self.values))
 
-    def __getitem__(self, rows: int | slice) -> Loadings:
-        """Return the loadings of one face, or of a slice of faces."""
-        if isinstance(rows, int):
-            place = range(len(self.frame_names))[rows]
-            rows = slice(place, place + 1)
-        return Loadings(self.values[rows], self.frame_names[rows], self.model_id, self.unit)
+    def __getitem__(self, rows: Any) -> Loadings:
+        """Return the loadings of the faces that a number, a name, a slice, or a list of these selects."""
+        places = places_of(self.frame_names, rows)
+        names = tuple(self.frame_names[place] for place in places)
+        return Loadings(self.values[places], names, self.model_id, self.unit)
 
     def __len__(self) -> int:
         return len(self.frame_names)
@@ -90,8 +121,7 @@ class Loadings:
 
     def to_pandas(self) -> Any:
         """Return a pandas DataFrame in this unit: one row a frame, one column a component (pc001, ...)."""
-        import pandas
-
+        pandas = optional("pandas")
         columns = [f"pc{place + 1:03d}" for place in range(self.values.shape[1])]
         return pandas.DataFrame(np.array(self.values), index=list(self.frame_names), columns=columns)
 

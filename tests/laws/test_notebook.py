@@ -1,8 +1,10 @@
 """The functions for a notebook: docs/notebook.md runs, and what they return agrees with the models' own methods."""
 
+import importlib
 import inspect
 import re
 import runpy
+import sys
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
@@ -14,6 +16,7 @@ import morphspace as ms
 from morphspace import notebook
 from morphspace.errors import BadInput, ReferenceMismatch
 from morphspace.face.faceframe import FaceFrame
+from morphspace.linear import morph_pca
 from morphspace.settings import WrongSetting
 from morphspace.synthetic import make_actors
 from morphspace.transfer.mimicry import mimic
@@ -196,6 +199,21 @@ def test_every_keyword_is_a_setting_with_its_check_its_help_and_its_default(mode
             lambda model: ms.trajectory(model, model.training, operations="loop", guide=model.training),
             "a guide is given, but no operation takes one",
         ),
+        (lambda model: ms.build(np.zeros((4, 5))), "a source is an array of shape (4, 5); expected a folder"),
+        (lambda model: ms.build(""), "a source is empty; expected a folder"),
+        (lambda model: ms.encode(model, ["x", None]), "a source is None; expected a folder"),
+        (lambda model: ms.build("x", identity=5), "identity is 5; expected a text"),
+        (lambda model: ms.load(DOCUMENT), "is no .morph file"),
+        (lambda model: model.plot_components("x"), "components is 'x'; expected a whole number from 1"),
+        (lambda model: model.plot_components(1, "x"), "amount_sd is 'x'; expected a number"),
+        (lambda model: model.training.plot(0), "components is 0; expected a whole number from 1"),
+        (lambda model: model.training["x"], "the face is 'x'; expected a number below 12"),
+        (lambda model: ms.caricature(model, model.training)[1.5], "the face is 1.5; expected a number"),
+        (
+            lambda model: ms.caricature(model, np.zeros((3, 2))),
+            "faces is an array of shape (3, 2); expected load",
+        ),
+        (lambda model: ms.plot(np.zeros((30, 3))), "an array of shape (30, 3)"),
         (lambda model: ms.plot(3), "expected a model or loadings"),
         (lambda model: ms.plot(model, "x"), "components is 'x'; expected a whole number"),
     ],
@@ -204,6 +222,55 @@ def test_what_cannot_be_used_is_refused_in_one_line(model, call, line):
     with pytest.raises(BadInput, match=re.escape(line)) as refused:
         call(model)
     assert "\n" not in str(refused.value)
+
+
+def test_a_list_of_sources_stands_for_its_members(model):
+    for sources in (["nowhere.png", Path("x.png")], ("nowhere.png", "x.png")):
+        with pytest.raises(BadInput, match=r"nowhere\.png does not exist"):
+            ms.build(sources)
+
+
+def test_faces_are_selected_by_number_name_slice_and_lists_of_these(model):
+    drawn, names = ms.caricature(model, model.training[:3], gains=1), model.training.frame_names
+    assert_array_equal(drawn[[0, 2]], [drawn[0], drawn[2]])
+    assert_array_equal(drawn["frame_001_g1"], drawn[1])
+    chosen = model.training[[names[2], -1, np.int64(0)]]
+    assert chosen.frame_names == (names[2], names[-1], names[0])
+    assert_array_equal(chosen.values, model.training.values[[2, -1, 0]])
+    with pytest.raises(IndexError):
+        model.training[[0, 99]]
+
+
+def test_an_array_stands_for_a_list_of_numbers(model):
+    assert len(ms.caricature(model, model.training[0], gains=np.array([0.5, 2.0]))) == 2
+
+
+def test_the_notes_of_a_blend_are_warnings(model):
+    marked = model.with_faceframe(FaceFrame((20.0, 30.0), (44.0, 30.0), (32.0, 50.0)))
+    with pytest.warns(UserWarning) as told:
+        ms.blend(marked, marked)
+    assert [one for one in told if "counts 2 times. Leave out repeated models" in str(one.message)]
+    assert {one.filename for one in told} == {__file__}
+
+
+@pytest.mark.parametrize(
+    ("package", "use"),
+    [
+        ("pandas", lambda model: model.training.to_pandas()),
+        ("matplotlib", lambda model: ms.plot(model)),
+        ("matplotlib", lambda model: ms.plot(model.training)),
+        ("sklearn", lambda model: importlib.reload(morph_pca)),
+    ],
+)
+def test_a_missing_package_is_named_with_the_command_that_brings_it(model, monkeypatch, package, use):
+    for name in [name for name in sys.modules if name.partition(".")[0] == package]:
+        monkeypatch.delitem(sys.modules, name)
+    monkeypatch.setitem(sys.modules, package, None)
+    with pytest.raises(
+        BadInput, match=re.escape(f"{package} is not installed; expected it for this function")
+    ) as told:
+        use(model)
+    assert "pip install 'morphspace[notebook]'" in str(told.value)
 
 
 def test_a_single_value_stands_for_a_list_of_one(model):

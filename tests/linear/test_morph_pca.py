@@ -36,3 +36,17 @@ def test_constant_rows_have_no_component():
 def test_a_weight_that_does_not_fit_is_refused(weight):
     with pytest.raises(BadInput, match=r"expected \(5,\)"):
         MorphPCA(weight=weight).fit(np.eye(5))
+
+
+@pytest.mark.parametrize("components", ["x", 0, 1.5])
+def test_a_number_of_components_that_is_none_is_refused(components):
+    with pytest.raises(
+        BadInput, match=r"n_components is .*; expected a whole number from 1 up, or None for all"
+    ):
+        MorphPCA(components).fit(np.eye(5))
+
+
+@pytest.mark.parametrize("shape", [(2, 5), (3,), ()])
+def test_loadings_of_another_width_are_refused(shape):
+    with pytest.raises(BadInput, match=r"expected \(n, 2\)"):
+        MorphPCA(2).fit(np.eye(5)).inverse_transform(np.zeros(shape))

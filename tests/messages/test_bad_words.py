@@ -109,6 +109,7 @@ BAD = (
     ("flow a.png b.png -o o.flo --landmarks a.png b.png", "a.png .tem"),
     ("flow a.png b.png -o o.flo --landmarks a.tem nowhere.tem", "a.tem"),
     ("flow a.png b.png -o o.flo --backend abacus", "abacus"),
+    ("info t.csv", "t.csv no .morph Check"),
     ("mimick anna.morph", "'mimick'. mean mimic? See"),
     ("models fetsh", "'fetsh'. mean fetch? See"),
     ("zzz", "'zzz'. See"),
