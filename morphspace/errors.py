@@ -46,5 +46,6 @@ def optional(module: str) -> Any:
         return importlib.import_module(module)
     except ModuleNotFoundError as error:
         raise BadInput(
-            f"{module.partition('.')[0]} is not installed; expected it for this function. Run pip install 'morphspace[notebook]'"
+            f"{module.partition('.')[0]} is not installed; expected it for this function. "
+            "Run pip install 'morphspace[notebook]'"
         ) from error

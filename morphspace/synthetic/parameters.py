@@ -7,7 +7,6 @@ but possible action. The parameters are ours.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import asdict, dataclass, fields
 
 import numpy as np
@@ -234,9 +233,3 @@ def mixed(*parts: dict[str, float]) -> Expression:
 def scaled(amounts: dict[str, float], factor: float) -> dict[str, float]:
     """Multiply a set of amounts by one factor."""
     return {name: factor * amount for name, amount in amounts.items()}
-
-
-def single_actions(amount: float = 1.0) -> Iterator[tuple[str, Expression]]:
-    """Return each action alone, by name, at `amount` (signed actions in their positive direction)."""
-    for name in ACTIONS:
-        yield name, Expression(**{name: amount})
