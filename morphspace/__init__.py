@@ -19,7 +19,7 @@ _HOMES = {
     "deserialise": "model.morph",
     "encode": "notebook",
     "FaceFrame": "face.faceframe",
-    "Faces": "notebook",
+    "Faces": "stimuli.faces",
     "Framing": "io.framing",
     "load": "notebook",
     "Loadings": "model.loadings",

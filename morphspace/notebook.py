@@ -13,10 +13,9 @@ import os
 import tempfile
 import textwrap
 import warnings
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import Executor
 from contextlib import AbstractContextManager, nullcontext
-from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -29,11 +28,9 @@ from morphspace.avatar.settings import blend_settings
 from morphspace.errors import BadInput
 from morphspace.flow.methods import DEFAULT
 from morphspace.io.clips import open_clip
-from morphspace.io.images import write_image
-from morphspace.model.display import card, picture_tag
 from morphspace.model.encode import encoded_frames, framed_for, joined
 from morphspace.model.from_clip import ClipSettings, build_clip
-from morphspace.model.loadings import Loadings, places_of
+from morphspace.model.loadings import Loadings
 from morphspace.model.model import MorphModel, load_model
 from morphspace.outcome import versions as package_versions
 from morphspace.requests import Workers, field_named, settings_in
@@ -43,8 +40,9 @@ from morphspace.settings import WrongSetting, converted, field_of, shown
 from morphspace.steps import Step, Steps, in_order, result_of, using_workers
 from morphspace.stimuli.caricature import change_of
 from morphspace.stimuli.continuum import Line, even_positions, given_positions
-from morphspace.stimuli.drawing import Drawing, check_name
+from morphspace.stimuli.drawing import Drawing
 from morphspace.stimuli.drawn import draw
+from morphspace.stimuli.faces import Faces
 from morphspace.stimuli.operations import Motion, operations_of, worked
 from morphspace.transfer.driver import UsedModel
 from morphspace.verbs.blend_avatar import BlendAvatarRequest
@@ -56,75 +54,8 @@ from morphspace.verbs.mimic import MimicRequest
 from morphspace.verbs.sweep import SweepRequest
 from morphspace.verbs.trajectory import TrajectoryRequest
 
-SHEET_FACES = 12  # of a sequence on a card; a notebook is to stay small
 Result = TypeVar("Result")
 FRAME_RATE_HZ = 25.0  # of a motion whose model does not state its rate
-
-
-@dataclass(frozen=True, eq=False)
-class Faces(Sequence[Image]):
-    """Faces of one model, drawn when they are asked for.
-
-    `faces[i]`, by number or name, is an image (h, w, 3) float32 in [0, 1]; a slice or a list gives a list of images. A
-    notebook shows the first faces as a contact sheet.
-
-    Attributes
-    ----------
-    names : tuple of str, one a face
-    loadings : Loadings
-        The faces' loadings on the model that draws them.
-    """
-
-    names: tuple[str, ...]
-    loadings: Loadings
-    draw: Callable[[int], Image] = field(repr=False)
-
-    def __len__(self) -> int:
-        return len(self.names)
-
-    def __getitem__(self, index: Any) -> Any:
-        images = [np.clip(self.draw(place), 0, 1) for place in places_of(self.names, index)]
-        return images[0] if isinstance(index, str | numbers.Integral) else images
-
-    def __iter__(self) -> Iterator[Image]:
-        return (self[place] for place in range(len(self)))
-
-    def save(self, folder: Path | str, *, replace: bool = False) -> list[Path]:
-        """Write each face as NAME.png into a folder, and return the files; `replace` allows existing files to be lost.
-
-        Stimuli for an experiment are better made by the verbs, which leave a sidecar beside each.
-
-        Raises
-        ------
-        BadInput
-            If a name cannot name a file, or a file exists.
-        UnwritableFile
-        """
-        for name in self.names:
-            check_name(name)
-        files = [Path(folder) / f"{name}.png" for name in self.names]
-        there = next((file for file in files if file.exists()), None)
-        if there is not None and not replace:
-            raise BadInput(
-                f"{there} exists; expected a new name. Choose another folder, or give replace=True"
-            )
-        for file, image in zip(files, self, strict=True):
-            file.parent.mkdir(parents=True, exist_ok=True)
-            write_image(file, image)
-        return files
-
-    def __repr__(self) -> str:
-        return f"Faces({len(self)} of model {self.loadings.model_id})"
-
-    def _repr_html_(self) -> str:
-        count = min(len(self), SHEET_FACES)
-        tags = [picture_tag(self[place], self.names[place]) for place in range(count)]
-        drawn = f"{count} of {len(self)}" if count < len(self) else str(count)
-        return card(
-            f"Faces: {drawn}",
-            {"model id": self.loadings.model_id},
-            [tags[at : at + 6] for at in range(0, count, 6)],
-        )
 
 
 NOT_WRITTEN = Path("notebook")  # stands for the files that a verb reads or writes, in a request without any
@@ -205,6 +136,16 @@ def build(
     ------
     BadInput
         If the clip cannot be read, has fewer than three frames, or a setting cannot be used.
+
+    References
+    ----------
+    Nagle et al., section 2.
+
+    Examples
+    --------
+    >>> import morphspace as ms
+    >>> ms.build("anna", landmarks="none", components=3, identity="Anna")
+    MorphModel(Anna, 3 components, 60 x 72 px, ...)
     """
     request = BuildModelRequest(sources=_sources(sources), **settings)
     clip, asked = open_clip(request.sources), settings_in(request, ClipSettings)
@@ -221,6 +162,17 @@ def load(path: Path | str) -> MorphModel:
         If there is no such file.
     ModelFileError
         If the file is cut short, of another version, or its parts do not fit each other.
+
+    References
+    ----------
+    The format is ours: `data_spec/model-file.md`.
+
+    Examples
+    --------
+    >>> import morphspace as ms
+    >>> anna = ms.load("anna.morph")
+    >>> anna.identity, anna.size
+    ('anna', (60, 72))
     """
     return load_model(converted(field_named(EncodeRequest, "model"), path))
 
@@ -250,6 +202,17 @@ def encode(
     ------
     BadInput
         If the images cannot be read or are too small to read a face from.
+
+    References
+    ----------
+    Nagle et al., section 3, step 1.
+
+    Examples
+    --------
+    >>> import morphspace as ms
+    >>> faces = ms.encode(ms.load("anna.morph"), "anna")
+    >>> faces.frame_names[:2]
+    ('frame_000', 'frame_001')
     """
     _check_models(model=model)
     request = EncodeRequest(model=NOT_WRITTEN, sources=_sources(sources), output=NOT_WRITTEN, **settings)
@@ -300,6 +263,18 @@ def mimic(
         If a model has no keypoints, or a setting cannot be used.
     ReferenceMismatch
         If the loadings belong to another model than the source.
+
+    References
+    ----------
+    Nagle et al., section 3.
+
+    Examples
+    --------
+    >>> import morphspace as ms
+    >>> anna, ben = ms.load("anna.morph"), ms.load("ben.morph")
+    >>> faces = ms.mimic(anna, ben, anna.training[:2], method="paper")
+    >>> faces[0].shape
+    (72, 60, 3)
     """
     _check_models(source=source, target=target)
     rows = source.training if faces is None else faces
@@ -353,6 +328,17 @@ def blend(
     ------
     BadInput
         If the models cannot be blended, or a setting does not fit them.
+
+    References
+    ----------
+    Nagle et al., section 4.
+
+    Examples
+    --------
+    >>> import morphspace as ms
+    >>> anna, ben = ms.load("anna.morph"), ms.load("ben.morph")
+    >>> ms.blend(anna, ben, correspondence="rest", landmarks="none").identity
+    'avatar'
     """
     _check_models(**{f"model {place}": model for place, model in enumerate(models, 1)})
     names = tuple(model.identity for model in models)
@@ -382,6 +368,17 @@ def caricature(model: MorphModel, faces: Loadings, **settings: Any) -> Faces:
         If a gain is not finite, or components or region are not the model's.
     ReferenceMismatch
         If the loadings belong to another model.
+
+    References
+    ----------
+    Nagle et al., section 5.
+
+    Examples
+    --------
+    >>> import morphspace as ms
+    >>> anna = ms.load("anna.morph")
+    >>> ms.caricature(anna, anna.training[0], gains=(0.5, 1.5)).names
+    ('frame_000_g0.5', 'frame_000_g1.5')
     """
     _check_models(model=model)
     _check_loadings(faces=faces)
@@ -421,6 +418,18 @@ def trajectory(
     ------
     BadInput
         If an operation is unknown or cannot be done to these motions.
+
+    References
+    ----------
+    Ours; methods of others are named at the operations in `morphspace.stimuli.trajectory`.
+
+    Examples
+    --------
+    >>> import morphspace as ms
+    >>> anna = ms.load("anna.morph")
+    >>> (slow,) = ms.trajectory(anna, anna.training, operations=["smooth=6", "speed=0.5"])
+    >>> len(anna.training), len(slow)
+    (12, 23)
     """
     _check_models(model=model)
     _check_loadings(**{f"motion {place}": one for place, one in enumerate(motions, 1)})
@@ -461,6 +470,17 @@ def continuum(
     ------
     BadInput
         If the ends are one face, or cannot be put in correspondence.
+
+    References
+    ----------
+    Ours.
+
+    Examples
+    --------
+    >>> import morphspace as ms
+    >>> anna = ms.load("anna.morph")
+    >>> len(ms.continuum(anna.training[0], anna.training[1], anna, steps=4, spacing="loadings"))
+    5
     """
     request = ContinuumRequest(first="first", last="last", output=NOT_WRITTEN, **settings)
     positions = (
@@ -494,7 +514,15 @@ def _line(first: MorphModel | Loadings, last: MorphModel | Loadings, model: Morp
 
 
 def plot(what: MorphModel | Loadings, components: int | None = None) -> Any:
-    """Draw a model's first components, or loadings over the frames, as a matplotlib figure."""
+    """Draw a model's first components, or loadings over the frames, as a matplotlib figure.
+
+    Examples
+    --------
+    >>> import morphspace as ms
+    >>> figure = ms.plot(ms.load("anna.morph"), components=2)
+    >>> len(figure.axes)
+    10
+    """
     if not isinstance(what, MorphModel | Loadings):
         raise BadInput(
             f"a plot of {shown(what)} was asked for; expected a model or loadings. Give one of these"

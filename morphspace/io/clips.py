@@ -219,6 +219,12 @@ def open_clip(sources: Sequence[str | Path], *, deinterlace: bool = False) -> Cl
         If the frames differ in size; the message lists the sizes.
     UnreadableFile
         If a file or folder cannot be read.
+
+    Examples
+    --------
+    >>> clip = open_clip("anna")
+    >>> clip.name, clip.size, len(clip.frame_names)
+    ('anna', (60, 72), 12)
     """
     given = [str(source) for source in ([sources] if isinstance(sources, str | Path) else sources)]
     if not given:

@@ -104,6 +104,15 @@ def read_image(path: str | Path, *, background: Sequence[float] | None = None) -
     BadInput
         If it has transparency and there is no background; if it has CMYK or unknown channels, several images, a
         colour space that cannot be converted, too many pixels, or values that are not finite or far outside [0, 1].
+
+    References
+    ----------
+    The transfer function of sRGB, for linear `.exr`: IEC 61966-2-1.
+
+    Examples
+    --------
+    >>> read_image("anna/frame_000.png").shape
+    (72, 60, 3)
     """
     path = Path(path)
     if background is not None and not (len(background) == 3 and all(0 <= value <= 1 for value in background)):
@@ -188,6 +197,16 @@ def write_image(path: str | Path, image: Image, *, bits: int = 8) -> int:
         If the image is not (h, w, 3) or not finite, or the format does not have the suffix or bit depth.
     UnwritableFile
         If the folder or disk refuses the file.
+
+    References
+    ----------
+    The transfer function of sRGB, for linear `.exr`: IEC 61966-2-1.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> write_image("grey.png", np.full((2, 3, 3), 0.5, np.float32))
+    0
     """
     path = Path(path)
     suffix = path.suffix.lower()

@@ -275,6 +275,14 @@ def serialise(morph: Morph | MorphOffset) -> AnyArray:
 
 
 def deserialise(vector: AnyArray, height: int, width: int, reference_id: str) -> Morph:
-    """Invert `serialise` for a face of (height, width) px. Raises `BadInput` if the vector's length is not 5 h w."""
+    """Invert `serialise` for a face of (height, width) px. Raises `BadInput` if the vector's length is not 5 h w.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> face = deserialise(np.arange(10, dtype=np.float32), 1, 2, "mean of A")
+    >>> face.texture[0, 1].tolist(), face.displacement[0, 1].tolist()
+    ([1.0, 3.0, 5.0], [7.0, 9.0])
+    """
     planes = _checked(vector, (height, width)).reshape(CHANNELS, width, height).transpose(2, 1, 0)
     return Morph.of(planes[..., :3], planes[..., 3:], reference_id)
