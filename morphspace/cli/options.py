@@ -39,10 +39,11 @@ class VerbCommand(click.Command):
                 continue
             needed = options[flag].nargs
             for count in range(needed):
-                word = next(words, "")
-                if word in options:
+                word = next(words, None)
+                if word is None or word in options:
+                    where = "" if word is None else f" before {word}"
                     raise click.UsageError(
-                        f"{flag} has {count} value{'s' if count != 1 else ''} before {word}; expected {needed}. "
+                        f"{flag} has {count} value{'s' if count != 1 else ''}{where}; expected {needed}. "
                         f"Give {options[flag].metavar}",
                         ctx,
                     )

@@ -115,6 +115,7 @@ BAD = (
     ("zzz", "'zzz'. See"),
     ("trajectory m.morph t.csv --op -o t", "--op 0 values before -o; expected 1."),
     ("grid m.morph --components 1 -o out", "--components 1 value before -o; expected 2. N"),
+    ("grid m.morph -o out -n 2", "-n 1 value; expected 2. NUMBER See grid --help"),
     ("grid m.morph -n -o out", "-n 0 values before -o; expected 2."),
     ("grid m.morph --components a b -o out", "--components 'a', 'b'; expected 2 whole numbers"),
     ("grid m.morph --components 2 2 -o out", "2 different 1 3. Choose others"),
