@@ -92,7 +92,7 @@ Workers = Annotated[
     Ge(1),
     Le(1024),
     Option(metavar="N"),
-    Help("Number of frames, or stimuli of a batch, to process in parallel [default: one per core]."),
+    Help("Number of frames or stimuli that are computed at the same time [default: one per core]."),
 ]
 Seed = Annotated[int, Ge(0), Help("Seed of the random numbers; the same seed gives the same result.")]
 MimicryMethod = Literal["auto", "paper", "map", "transfer", "guided"]

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import os
 import re
+import sys
 import unicodedata
 from pathlib import Path
 
@@ -34,6 +35,12 @@ def check_name(path: Path) -> None:
     """Raise `BadInput` if a path is not UTF-8, or has a line end or another control character."""
     text = str(path)
     shown = os.fsencode(text).decode("utf-8", "backslashreplace") if _is_other(text) else text
+    encoding = sys.getfilesystemencoding()
+    if shown != text and encoding != "utf-8":
+        raise BadInput(
+            f"the file name {shown} cannot be used, because the locale is {encoding}; expected UTF-8. Set LC_ALL to "
+            "C.UTF-8, or PYTHONUTF8 to 1"
+        )
     if shown != text:
         raise BadInput(f"the file name {shown} is not UTF-8; expected UTF-8. Rename it")
     if CONTROL.search(text):

@@ -14,6 +14,7 @@ import glob
 import json
 import os
 import threading
+import time
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -49,6 +50,7 @@ MODELS_FOLDER = "models"  # models built from clips
 MARK_FORMAT = "morphspace-writing"
 SYSTEM_FILES = ("thumbs.db", "desktop.ini")  # written by file managers, like all names that begin with a dot
 PAGE_FOOTER = b"<footer>Written by morphspace."
+HOLDER_TRIES, HOLDER_WAIT_S = 10, 0.05  # and s; a run writes the head of its mark at once
 END_BYTES = 4096  # bytes at the end of a page that hold its footer
 
 
@@ -520,7 +522,7 @@ def _locked(output: Output) -> Iterator[_Mark]:
         mark = _Mark(output, handle)
         try:
             if not _is_free(handle):
-                (holder, *_) = _lines(output.mark) or [{}]
+                holder = _holder(output.mark)
                 who = f"{holder.get('verb', 'run')} (process {holder.get('process', 'unknown')})"
                 raise BadInput(
                     f"another {who} is writing {output.place}. Wait until it ends, or choose another output"
@@ -535,6 +537,15 @@ def _locked(output: Output) -> Iterator[_Mark]:
             return
         finally:
             os.close(handle)
+
+
+def _holder(mark: Path) -> dict[str, Any]:
+    """Return the head of a mark that another run holds, which may not have written it yet."""
+    for _ in range(HOLDER_TRIES):
+        if lines := _lines(mark):
+            return dict(lines[0])
+        time.sleep(HOLDER_WAIT_S)
+    return {}
 
 
 def _is_free(handle: int) -> bool:

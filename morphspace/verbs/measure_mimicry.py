@@ -62,7 +62,9 @@ class MeasureMimicryRequest:
     region: Annotated[
         str,
         Option(metavar="NAME"),
-        Help("Measure a part of the face: eyes, brows, mouth, nose, upper, lower, several joined by +."),
+        Help(
+            "The measured part of the face: eyes, brows, mouth, nose, upper, lower, several joined by +, or whole."
+        ),
     ] = "whole"
     imitator: Annotated[
         Path | None,

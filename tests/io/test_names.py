@@ -1,6 +1,8 @@
 """Laws of names: what a table, a page or a terminal would take for something else is refused where it enters."""
 
 import os
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -54,3 +56,20 @@ def test_a_link_to_nothing_says_what_it_is(tmp_path):
         check_link(tmp_path / "annex.png")
     with pytest.raises(UnreadableFile, match=r"lost\.png is a link to gone\.png, which does not exist"):
         check_link(tmp_path / "lost.png")
+
+
+def test_a_locale_without_utf_8_is_named_rather_than_the_file(tmp_path):
+    (tmp_path / "\u017cab\u0119.png").write_bytes(b"")
+    code = (
+        "import pathlib, sys\nfrom morphspace.errors import BadInput\nfrom morphspace.io.names import check_name\n"
+        "try:\n    check_name(next(pathlib.Path(sys.argv[1]).iterdir()))\n"
+        "except BadInput as error:\n    print(str(error).encode('ascii', 'replace').decode())\n"
+    )
+    ended = subprocess.run(
+        [sys.executable, "-c", code, str(tmp_path)],
+        env={**os.environ, "LC_ALL": "C", "PYTHONUTF8": "0", "PYTHONCOERCECLOCALE": "0"},
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    assert "because the locale is ascii" in ended.stdout and "Set LC_ALL to C.UTF-8" in ended.stdout
