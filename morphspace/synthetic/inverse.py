@@ -13,6 +13,7 @@ import numpy as np
 from morphspace.arrays import AnyArray, Displacement, Points
 
 STEPS = (0.4, 0.8, 1.0, 1.0, 1.0, 1.0)  # of the whole field; the repeats polish the last one to 1e-3 px
+ROWS = 32_000  # rows of a look-up at once; OpenCV refuses 32,767
 LEAST_STRETCH = 0.12  # the area factor below which a Newton step is held back: the sheet is about to fold
 
 
@@ -30,7 +31,13 @@ def sample_linear(field: AnyArray, x: AnyArray, y: AnyArray) -> AnyArray:
     """
     if field.ndim == 3 and field.shape[2] == 2:
         return sample_linear(padded(field), x, y)[..., :2]
-    return np.asarray(cv2.remap(field, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE))
+    blocks = [
+        cv2.remap(
+            field, x[at : at + ROWS], y[at : at + ROWS], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE
+        )
+        for at in range(0, max(1, len(x)), ROWS)
+    ]
+    return blocks[0] if len(blocks) == 1 else np.concatenate(blocks)
 
 
 def padded(field: Displacement) -> AnyArray:

@@ -22,7 +22,7 @@ from morphspace.synthetic import (
     expression_sequence,
     portrait_actor,
 )
-from morphspace.synthetic.inverse import inverse_of
+from morphspace.synthetic.inverse import inverse_of, sample_linear
 from morphspace.synthetic.parameters import SIGNED_ACTIONS
 from morphspace.synthetic.performance import POSES
 
@@ -302,3 +302,12 @@ def test_amounts_out_of_range_are_refused() -> None:
         Expression(gaze_x=-1.1)
     with pytest.raises(BadInput, match="too small"):
         draw_portrait_frame(size=(20, 20))
+
+
+def test_a_look_up_at_many_points_is_that_at_each():
+    field = np.random.default_rng(3).random((5, 7, 2), np.float32)
+    x = np.tile(np.linspace(0, 6, 41, dtype=np.float32), 2000)[:, None]
+    y = np.tile(np.linspace(0, 4, 41, dtype=np.float32), 2000)[:, None]
+    found = sample_linear(field, x, y)
+    assert found.shape == (82_000, 1, 2)
+    np.testing.assert_array_equal(found.reshape(2000, 41, 2), np.broadcast_to(found[:41, 0], (2000, 41, 2)))
