@@ -24,7 +24,8 @@ from morphspace.io.images import read_image
 from morphspace.io.tables import write_metrics_table
 from morphspace.linear.quality import flow_errors, known_flow
 from morphspace.outcome import RECORD_NAME, Outcome, write_record
-from morphspace.sets.protect import Output, check_file, check_origins, writing
+from morphspace.sets.outputs import Output, check_file
+from morphspace.sets.protect import check_origins, writing
 from morphspace.steps import Step, Steps
 from morphspace.storage import digest_of_file
 

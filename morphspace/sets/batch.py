@@ -19,9 +19,10 @@ from morphspace.io.recipes import read_recipe
 from morphspace.io.tables import write_metrics_table
 from morphspace.outcome import Outcome, write_record
 from morphspace.requests import VIDEO_SUFFIXES, recipe_verbs
+from morphspace.sets.outputs import set_output
 from morphspace.sets.plan import PlannedSet, keep_model
 from morphspace.sets.pool import DrawingPiece, FolderPiece, Piece, made_here, made_in_processes, threads_of
-from morphspace.sets.protect import set_output, writing
+from morphspace.sets.protect import writing
 from morphspace.sets.recipe_plan import FOLDERS_TABLE, Planned, planned_recipe
 from morphspace.sets.stimulus import make_stimulus
 from morphspace.sets.stimulus_set import complete_set, loadings_tables

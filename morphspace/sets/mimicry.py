@@ -32,7 +32,7 @@ from morphspace.report.mimic_page import PAIRS_SHOWN, MimicryResult, mimic_page
 from morphspace.report.pictures import of_width, panels_of
 from morphspace.report.set_page import CLIPPED_PERCENT
 from morphspace.sets.models import check_landmarks
-from morphspace.sets.protect import Output, check_apart, check_inputs
+from morphspace.sets.outputs import Output, check_apart, check_inputs
 from morphspace.sets.sources import FRAME_RATE_HZ
 from morphspace.steps import Step, Steps, in_order
 from morphspace.storage import digest_of_file, make_folder, remove_unfinished, write_text

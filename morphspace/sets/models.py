@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from morphspace.cache import work_folder
-from morphspace.errors import BadInput, UnreadableFile
+from morphspace.errors import BadInput, MorphspaceError, UnreadableFile
 from morphspace.face.detector import Detector, how_to_get_networks
 from morphspace.flow import methods
 from morphspace.io.clips import VIDEO_SUFFIXES, Clip, open_clip
@@ -31,6 +31,7 @@ from morphspace.steps import Step, Steps, spread
 from morphspace.storage import digest_of_file, make_folder, remove_unfinished
 from morphspace.transfer.driver import UsedModel
 
+MODELS_FOLDER = "models"  # models built from clips
 MODEL_SUFFIX = ".morph"
 LOOKED_AT = 9  # frames of a clip that are searched for a face
 
@@ -298,3 +299,25 @@ def build_document(made: WrittenModel) -> dict[str, Any]:
         "frames_with_face": None if build.faces_found is None else int(build.faces_found.sum()),
         "keypoints": None if model.faceframe is None else model.faceframe.points.tolist(),
     }
+
+
+@contextlib.contextmanager
+def naming_what_stays(folder: Path) -> Iterator[None]:
+    """Add to an error of the block the names of the finished or begun models that stay in the folder."""
+    before = _models_in(folder)
+    try:
+        yield
+    except MorphspaceError as error:
+        made = [path.name for path in _models_in(folder) if path not in before]
+        if not made:
+            raise
+        raise type(error)(
+            f"{error}; the models made for it stay in {folder / MODELS_FOLDER} ({', '.join(made)}), and the next run "
+            "here reuses them"
+        ) from error
+
+
+def _models_in(folder: Path) -> list[Path]:
+    """List the models, and the work folders of begun models."""
+    place = folder / MODELS_FOLDER
+    return sorted(path for kind in ("*.morph", "*.morph.work") for path in place.glob(kind))

@@ -19,7 +19,7 @@ from morphspace.outcome import versions
 from morphspace.requests import request_document
 from morphspace.sets.kept import digest_of_kept
 from morphspace.sets.manifest import Column, described_columns
-from morphspace.sets.protect import files_named
+from morphspace.sets.outputs import files_named
 from morphspace.stimuli.drawing import Drawing
 from morphspace.storage import digest_of_json, make_folder
 

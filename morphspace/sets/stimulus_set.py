@@ -17,8 +17,9 @@ from morphspace.report.frames import small
 from morphspace.report.set_page import CLIPPED_PERCENT, FOLDED_PERCENT, StimulusSet, places_shown, set_page
 from morphspace.requests import VIDEO_SUFFIXES
 from morphspace.sets.manifest import Column, write_manifest
+from morphspace.sets.outputs import Output, set_output
 from morphspace.sets.plan import PlannedSet, keep_model
-from morphspace.sets.protect import Output, set_output, writing
+from morphspace.sets.protect import writing
 from morphspace.sets.stimulus import make_stimulus
 from morphspace.steps import Step, Steps, in_order, worker_count
 from morphspace.stimuli.drawing import PICTURE_SUFFIXES, Drawing

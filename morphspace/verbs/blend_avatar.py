@@ -118,7 +118,8 @@ def run(request: BlendAvatarRequest) -> Steps[Outcome]:
     from morphspace.outcome import Outcome
     from morphspace.report.avatar_page import avatar_page, avatar_result, blend_lines, landmark_words
     from morphspace.sets.models import held_models
-    from morphspace.sets.protect import Output, check_file, writing
+    from morphspace.sets.outputs import Output, check_file
+    from morphspace.sets.protect import writing
     from morphspace.storage import digest_of_file, write_text
 
     paths = [Path(given) for given in request.models]

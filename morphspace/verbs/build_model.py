@@ -93,7 +93,8 @@ def run(request: BuildModelRequest) -> Steps[Outcome]:
     from morphspace.outcome import Outcome
     from morphspace.report.advice.build import advice_for
     from morphspace.sets.models import build_document, build_lines, written_model
-    from morphspace.sets.protect import Output, check_file, writing
+    from morphspace.sets.outputs import Output, check_file
+    from morphspace.sets.protect import writing
 
     settings = settings_in(request, ClipSettings)
     clip = open_clip(request.sources, deinterlace=request.deinterlace)

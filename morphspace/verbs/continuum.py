@@ -99,8 +99,8 @@ def plan(request: ContinuumRequest, model: MorphModel | None = None) -> Steps[Pl
         measured_steps,
         spaced_series,
     )
+    from morphspace.sets.outputs import files_named
     from morphspace.sets.plan import PlannedSet
-    from morphspace.sets.protect import files_named
     from morphspace.stimuli.continuum import even_positions, given_positions
 
     positions = None if request.positions is None else given_positions(request.positions)

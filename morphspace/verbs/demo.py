@@ -36,7 +36,8 @@ def run(request: DemoRequest) -> Steps[Outcome]:
     from morphspace.model.model import load_model
     from morphspace.outcome import RECORD_NAME, Outcome, write_record
     from morphspace.report.demo_page import demo_pictures, write_demo_page
-    from morphspace.sets.protect import Output, writing
+    from morphspace.sets.outputs import Output
+    from morphspace.sets.protect import writing
     from morphspace.verbs import build_model, make_actors
 
     folder = request.output

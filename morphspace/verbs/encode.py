@@ -41,7 +41,8 @@ def run(request: EncodeRequest) -> Steps[Outcome]:
     )
     from morphspace.model.model import load_model
     from morphspace.outcome import Outcome
-    from morphspace.sets.protect import Output, check_file, writing
+    from morphspace.sets.outputs import Output, check_file
+    from morphspace.sets.protect import writing
     from morphspace.steps import Step
 
     model = load_model(request.model)

@@ -97,7 +97,8 @@ def run(request: FlowRequest) -> Steps[Outcome]:
     from morphspace.report import flow_figures
     from morphspace.report.flow_picture import flow_picture
     from morphspace.report.flow_scenes import measured_scenes
-    from morphspace.sets.protect import Output, writing
+    from morphspace.sets.outputs import Output
+    from morphspace.sets.protect import writing
     from morphspace.storage import digest_of_file
 
     if request.bench is not None:
@@ -141,7 +142,7 @@ def run(request: FlowRequest) -> Steps[Outcome]:
 
 def _check_names(wanted: list[Path], picture: Path | None) -> None:
     from morphspace.io.flow_fields import check_field_name
-    from morphspace.sets.protect import check_file
+    from morphspace.sets.outputs import check_file
 
     for path in wanted:
         if path != picture:

@@ -70,7 +70,8 @@ def run(request: InfoRequest) -> Steps[Outcome]:
     from morphspace.model.landmarks import error_summary
     from morphspace.model.model import load_model, points_document
     from morphspace.outcome import Outcome
-    from morphspace.sets.protect import Output, check_file, writing
+    from morphspace.sets.outputs import Output, check_file
+    from morphspace.sets.protect import writing
     from morphspace.steps import Step
     from morphspace.verbs.encode import write_loadings
 

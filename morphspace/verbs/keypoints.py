@@ -75,7 +75,8 @@ def run(request: KeypointsRequest, detector: Detector | None = None) -> Steps[Ou
     from morphspace.model.model import load_model
     from morphspace.outcome import Outcome
     from morphspace.report.pictures import marked_face
-    from morphspace.sets.protect import Output, check_file, writing
+    from morphspace.sets.outputs import Output, check_file
+    from morphspace.sets.protect import writing
 
     _check(request)
     model = load_model(request.model)

@@ -43,7 +43,8 @@ def run(request: MakeActorsRequest) -> Steps[Outcome]:
     """Write the clip folders and truth/."""
     from morphspace import synthetic
     from morphspace.outcome import RECORD_NAME, Outcome, write_record
-    from morphspace.sets.protect import Output, writing
+    from morphspace.sets.outputs import Output
+    from morphspace.sets.protect import writing
     from morphspace.steps import Step
 
     width, height = request.size

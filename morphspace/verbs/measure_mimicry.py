@@ -93,7 +93,8 @@ def run(request: MeasureMimicryRequest, detector: Detector | None = None) -> Ste
         measure_lines,
         written_imitation,
     )
-    from morphspace.sets.protect import Output, check_file, writing
+    from morphspace.sets.outputs import Output, check_file
+    from morphspace.sets.protect import writing
 
     model = load_model(request.model)
     _check_request(request, model)

@@ -92,14 +92,14 @@ def run(request: MimicRequest, detector: Detector | None = None) -> Steps[Outcom
     from morphspace.outcome import Outcome
     from morphspace.report.mimic_page import mimic_document, mimic_lines
     from morphspace.sets.mimicry import output_of, written_mimicry
-    from morphspace.sets.models import ready_model
-    from morphspace.sets.protect import MODELS_FOLDER, told_what_stays, writing
+    from morphspace.sets.models import MODELS_FOLDER, naming_what_stays, ready_model
+    from morphspace.sets.protect import writing
     from morphspace.transfer.driver import clip_driver, training_driver
 
     folder, detect = request.output, detector or own_detector()
     opened, settings = _opened(request, detect)
     inputs = [path for given in opened if isinstance(given, Clip) for path in given.paths]
-    with told_what_stays(folder), writing(output_of(folder, inputs)):
+    with naming_what_stays(folder), writing(output_of(folder, inputs)):
         models = []
         for given in opened:
             models.append((yield from ready_model(given, folder / MODELS_FOLDER, request.components, detect)))
@@ -127,8 +127,9 @@ def _opened(request: MimicRequest, detect: Detector | None) -> tuple[list[UsedMo
     """Open both models or clips, and raise any foreseeable error before a model is built."""
     from morphspace.io.clips import Clip, open_clip
     from morphspace.sets.mimicry import MimicSettings, output_of
-    from morphspace.sets.models import check_faces, check_landmarks, opened_model
-    from morphspace.sets.protect import MODELS_FOLDER, check_apart, check_origins
+    from morphspace.sets.models import MODELS_FOLDER, check_faces, check_landmarks, opened_model
+    from morphspace.sets.outputs import check_apart
+    from morphspace.sets.protect import check_origins
 
     settings = settings_in(request, MimicSettings)
     sides = {"--src": request.source, "--dst": request.target}

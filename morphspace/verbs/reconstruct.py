@@ -46,7 +46,8 @@ def run(request: ReconstructRequest) -> Steps[Outcome]:
         SHEET_NAME,
         written_reconstruction,
     )
-    from morphspace.sets.protect import Output, writing
+    from morphspace.sets.outputs import Output
+    from morphspace.sets.protect import writing
     from morphspace.storage import digest_of_file
 
     whole, folder = load_model(request.model), request.output

@@ -119,7 +119,8 @@ def _write_table(request: TrajectoryRequest) -> Steps[Outcome]:
     """Write the new motion as a table of loadings, for any verb that reads one."""
     from morphspace.outcome import Outcome
     from morphspace.sets.motions import variables_of, write_motion
-    from morphspace.sets.protect import Output, check_file, check_origins, writing
+    from morphspace.sets.outputs import Output, check_file
+    from morphspace.sets.protect import check_origins, writing
 
     model = _opened(request)
     paths = [*request.tables, *([] if request.guide is None else [request.guide])]

@@ -15,8 +15,9 @@ from morphspace.io.images import write_image
 from morphspace.io.tables import write_loadings_table
 from morphspace.outcome import write_record
 from morphspace.requests import OUTPUT, all_verbs
-from morphspace.sets.protect import MARK_NAME, Output, check_origins, writing
-from morphspace.storage import write_container, write_text
+from morphspace.sets.outputs import Output
+from morphspace.sets.protect import check_origins, writing
+from morphspace.storage import MARK_NAME, write_container, write_text
 
 
 def bytes_of(folder):
@@ -198,7 +199,8 @@ def run_until_killed(folder, then):
     code = f"""
         import os, sys, time
         from pathlib import Path
-        from morphspace.sets.protect import Output, writing
+        from morphspace.sets.outputs import Output
+        from morphspace.sets.protect import writing
         from morphspace.storage import write_text
         folder = Path({str(folder)!r})
         with writing(Output("mimic", folder, [folder / "frames", folder / "table.csv", folder / "record.json"])):

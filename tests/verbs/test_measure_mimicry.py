@@ -28,9 +28,8 @@ from morphspace.model.morph import Morph
 from morphspace.notebook import build
 from morphspace.sets import imitation as imitation_set
 from morphspace.sets.imitation import WRITTEN
-from morphspace.sets.protect import MARK_NAME
 from morphspace.steps import result_of
-from morphspace.storage import digest_of_file
+from morphspace.storage import MARK_NAME, digest_of_file
 from morphspace.verbs import measure_mimicry
 from morphspace.verbs.measure_mimicry import MeasureMimicryRequest
 

@@ -42,8 +42,8 @@ from morphspace.report.mimic_page import HEADINGS, LEFT_OUT
 from morphspace.requests import field_named
 from morphspace.sets import mimicry, models
 from morphspace.sets.mimicry import FinishedFrames, frame_steps
-from morphspace.sets.protect import MARK_NAME
 from morphspace.steps import result_of, worker_count
+from morphspace.storage import MARK_NAME
 from morphspace.transfer import neutral
 from morphspace.transfer.driver import Driver
 from morphspace.transfer.mimicry import MAX_SD, METHODS, auto_gain, mimic
