@@ -24,7 +24,7 @@ from morphspace.face import regions
 from morphspace.face.anchor import FaceAnchor, rigid_movement
 from morphspace.face.crop import check_one_person, several_notes
 from morphspace.face.detector import Detector
-from morphspace.face.expression import distance_from_neutral, expression_of
+from morphspace.face.expression import distance_from_neutral
 from morphspace.face.faceframe import FaceFrame, Frame, RegistrationKind
 from morphspace.face.mesh import FacePoints
 from morphspace.face.points_in_clip import points_steps
@@ -39,7 +39,7 @@ from morphspace.model.keypoints import detect_faceframe, with_detected
 from morphspace.model.loadings import Loadings
 from morphspace.model.model import MorphModel, inner_product, model_digest
 from morphspace.model.morph import CHANNELS, Morph, invert_mean_shape, morph_of, resource
-from morphspace.model.reference import POOL, ReferenceChoice, SmallFrame, search, shrunk
+from morphspace.model.reference import POOL, ReferenceChoice, SmallFrame, reason_of, search, shrunk
 from morphspace.model.warp_weight import WeightTrial, best_trial, trial_weights
 from morphspace.model.work_frames import FramePlan, frame_steps, read_aligned, read_work_frame
 from morphspace.steps import Step, Steps, in_order, spread
@@ -256,28 +256,16 @@ def _survey_pass(source: FrameSource, settings: BuildSettings, work_folder: Path
 def _reference_pass(source: FrameSource, settings: BuildSettings, survey: _Survey) -> Steps[ReferenceChoice]:
     """Choose the reference, unless the settings name it."""
     if settings.reference is not None:
-        return ReferenceChoice(settings.reference, source.names[settings.reference], "it was asked for")
+        return ReferenceChoice(
+            settings.reference, source.names[settings.reference], "named by the setting reference"
+        )
     indices = sorted(survey.small)
     faces = [survey.found[index] if settings.anchored else None for index in indices]
     far = distance_from_neutral(faces)
     known = bool(np.isfinite(far).any())
     place, errors = yield from search([survey.small[index] for index in indices], far if known else None)
-    best, worst = min(errors.values()), max(errors.values())
-    reason = (
-        f"of {len(errors)} frames tried it is among those that reach the hardest frames best (error "
-        f"{errors[place]:.4f}, best {best:.4f}, worst {worst:.4f}, colour 0 to 1), and of these "
-        f"{_nearest(faces[place])}"
-    )
+    reason = reason_of(place, errors, faces[place], known)
     return ReferenceChoice(indices[place], source.names[indices[place]], reason)
-
-
-def _nearest(face: FacePoints | None) -> str:
-    if face is None:
-        return "its mouth is nearest to half open"
-    return (
-        "its face is nearest to rest with the lips slightly apart (their gap is "
-        f"{expression_of(face).mouth_opening:.2f} eye distances)"
-    )
 
 
 @dataclass(frozen=True, eq=False)

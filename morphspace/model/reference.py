@@ -10,14 +10,16 @@ taken instead, so that models whose flow is anchored to the points share their z
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import cv2
 import numpy as np
 
 from morphspace.arrays import AnyArray, Image, Mask
+from morphspace.face.expression import expression_of
 from morphspace.face.faceframe import FaceFrame
+from morphspace.face.mesh import FacePoints
 from morphspace.face.regions import face_mask, mouth_surroundings
 from morphspace.flow.baselines import LUMA, dis_medium, smoothed
 from morphspace.flow.starts import photometric_error
@@ -38,7 +40,7 @@ NEARLY_EQUAL = (
 
 @dataclass(frozen=True, eq=False)
 class ReferenceChoice:
-    """The frame that became the reference, by index and name, and the reason in one sentence."""
+    """The frame that became the reference, by index and name, and the reason for it in words."""
 
     index: int
     name: str
@@ -119,6 +121,37 @@ def search(frames: Sequence[SmallFrame], far: AnyArray | None = None) -> Steps[t
     limit = (ABOUT_EQUAL if far is None else NEARLY_EQUAL) * min(errors.values())
     good = np.array([place for place, found in errors.items() if found <= limit])
     return int(good[off[good].argmin()]), errors
+
+
+def reason_of(place: int, errors: Mapping[int, float], face: FacePoints | None, by_face: bool) -> str:
+    """Describe in words why the candidate `place` of `search` became the reference.
+
+    Parameters
+    ----------
+    place, errors
+        As `search` returns them.
+    face : FacePoints or None
+        The face of that candidate, if it was found.
+    by_face : bool
+        Whether `search` was given distances from neutral.
+
+    Returns
+    -------
+    str
+        Sentences without the last full stop.
+    """
+    best, worst, limit = min(errors.values()), max(errors.values()), NEARLY_EQUAL if by_face else ABOUT_EQUAL
+    nearest = "its mouth is nearest to half open"
+    if face is not None:
+        nearest = (
+            "its face is nearest to neutral with slightly parted lips (they are "
+            f"{expression_of(face).mouth_opening:.2f} eye distances apart)"
+        )
+    return (
+        f"chosen from {len(errors)} candidates. Warped to it, the frames that fit worst differ from it by "
+        f"{errors[place]:.4f} (rms colour, 0 to 1); the best candidate has {best:.4f}, the worst {worst:.4f}. "
+        f"Of the candidates within {limit - 1:.0%} of the best, {nearest}"
+    )
 
 
 def _half_open(contrasts: AnyArray) -> float:

@@ -183,7 +183,7 @@ def test_of_a_long_clip_evenly_spread_frames_are_looked_at_for_the_reference(cli
         assert frame.contrast == pytest.approx(contrast)
         assert_allclose(frame.mask, face_mask(72, 60), atol=1e-6)
     assert (choice.index, choice.name) == (few[place], clip.names[few[place]])
-    assert "of 4 frames tried" in choice.reason
+    assert "chosen from 4 candidates" in choice.reason
 
 
 def test_the_reference_of_a_long_clip_is_one_of_120_frames(picture, make_clip, tmp_path, monkeypatch):

@@ -7,7 +7,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 from morphspace.face.regions import face_mask
 from morphspace.flow.baselines import LUMA, dis_medium, smoothed
 from morphspace.grid import warp
-from morphspace.model.reference import SmallFrame, mouth_contrast, search, shrunk, spread
+from morphspace.model.reference import SmallFrame, mouth_contrast, reason_of, search, shrunk, spread
 from morphspace.steps import Step, result_of
 
 # What the module documents, written out: a constant of it that changes fails a test here.
@@ -332,3 +332,17 @@ def test_colour_alone_and_what_lies_outside_the_region_are_no_mouth_contrast(pic
     region[10:20, 5:30] = 1
     changed = np.where(region[..., None] > 0.5, outside, 1 - outside)
     assert_array_equal(mouth_contrast(changed, region), mouth_contrast(outside, region))
+
+
+@pytest.mark.parametrize(("by_face", "limit"), [(False, "within 5% of"), (True, "within 15% of")])
+def test_the_reason_has_the_figures_of_the_choice_and_the_limit_that_applied(by_face, limit):
+    words = reason_of(7, {3: 0.02, 7: 0.0205, 9: 0.5}, None, by_face)
+    for figure in (
+        "3 candidates",
+        "by 0.0205",
+        "best candidate has 0.0200",
+        "worst 0.5000",
+        limit,
+        "half open",
+    ):
+        assert figure in words

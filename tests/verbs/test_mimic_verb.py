@@ -89,7 +89,7 @@ def other(picture, wavy_field):
     provenance = {
         "identity": "other",
         "framing": {"source_size": [width, height], "crop": None, "size": [width, height]},
-        "reference": {"frame": "f0", "reason": "it was asked for", "sha256": "0" * 64},
+        "reference": {"frame": "f0", "reason": "named by the setting reference", "sha256": "0" * 64},
         "versions": {},
     }
     names = tuple(f"o_{index:02d}" for index in range(len(rows)))
