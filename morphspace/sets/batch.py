@@ -15,15 +15,15 @@ from pathlib import Path
 from typing import Any
 
 from morphspace.errors import BadInput
-from morphspace.io.recipes import read_recipe
+from morphspace.io.recipe.grammar import read_recipe
 from morphspace.io.tables import write_metrics_table
 from morphspace.outcome import Outcome, write_record
 from morphspace.requests import VIDEO_SUFFIXES, recipe_verbs
+from morphspace.sets.batch_plan import FOLDERS_TABLE, Planned, planned_recipe
 from morphspace.sets.outputs import set_output
 from morphspace.sets.plan import PlannedSet, keep_model
 from morphspace.sets.pool import DrawingPiece, FolderPiece, Piece, made_here, made_in_processes, threads_of
 from morphspace.sets.protect import writing
-from morphspace.sets.recipe_plan import FOLDERS_TABLE, Planned, planned_recipe
 from morphspace.sets.stimulus import make_stimulus
 from morphspace.sets.stimulus_set import complete_set, loadings_tables
 from morphspace.steps import Step, Steps, core_count, worker_count

@@ -12,8 +12,8 @@ import pytest
 
 from morphspace.cli.documents import recipe_schema, setting_schema, verbs_page
 from morphspace.errors import BadInput
-from morphspace.io.recipe_text import read_yaml
-from morphspace.io.recipes import KEYS, read_recipe
+from morphspace.io.recipe.grammar import KEYS, read_recipe
+from morphspace.io.recipe.text import read_yaml
 from morphspace.requests import recipe_verbs, settings_of
 from morphspace.sets.manifest import FIRST_COLUMNS, LAST_COLUMNS, VARIABLE_COLUMNS
 from morphspace.settings import WrongSetting, check_decimal_points, converted
@@ -136,7 +136,7 @@ def test_the_examples_on_the_page_are_recipes(tmp_path):
     ],
 )
 def test_schema_and_reader_refuse_the_same_broken_recipes(old, new, tmp_path):
-    from morphspace.sets.recipe_plan import planned_recipe
+    from morphspace.sets.batch_plan import planned_recipe
 
     text = example("recipe", "yaml")
     assert old in text

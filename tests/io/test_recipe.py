@@ -12,9 +12,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from morphspace.errors import BadInput, UnreadableFile
-from morphspace.io.placeholders import filled, pieces_of, places_in
-from morphspace.io.recipe_text import read_rows, read_yaml
-from morphspace.io.recipes import read_recipe
+from morphspace.io.recipe.grammar import read_recipe
+from morphspace.io.recipe.placeholders import filled, pieces_of, places_in
+from morphspace.io.recipe.text import read_rows, read_yaml
 
 VERBS = {"caricature": ("model", "loadings", "gain", "components"), "grid": ("model", "steps")}
 HEAD = "format: morphspace-recipe\nversion: 1\n"

@@ -1,4 +1,6 @@
-"""Plan everything that a recipe draws: requests, planned sets and names; all its errors are found here (ours).
+"""Plan a batch, everything that a recipe draws: requests, planned sets and names, and all errors of these (ours).
+
+What a recipe may say is in `io/recipe/grammar.py`.
 
 A job of a recipe is one request. Its drawings are named by the recipe's pattern and hold the level of each factor.
 They are stored with the recipe's paths, not those of this machine, so the same recipe gives the same bytes
@@ -15,8 +17,8 @@ from typing import Any
 
 from morphspace.errors import BadInput
 from morphspace.io.clips import open_clip
-from morphspace.io.placeholders import filled
-from morphspace.io.recipes import Job, Recipe
+from morphspace.io.recipe.grammar import Job, Recipe
+from morphspace.io.recipe.placeholders import filled
 from morphspace.model.model import MorphModel, load_model
 from morphspace.outcome import versions
 from morphspace.requests import Verb, request_document, request_from, verb_named

@@ -1,9 +1,11 @@
-"""Recipes: a stimulus set as a text, in YAML with crossed factors or as a CSV table with one stimulus per row.
+"""What a recipe may say: its keys, its sources and factors, and the entries of its stimuli (ours).
 
-`data_spec/recipe.md` describes both. A recipe is checked completely before any file is opened: all keys are known,
-and all placeholders have values. Each message names the line and the nearest correct word. The result is a list of
-jobs, a verb and its settings each. The settings of a verb are declared in its own file of `verbs/`; `requests.py` reads
-them. Ours.
+A recipe is YAML with crossed factors, or a CSV table with one stimulus a row; `data_spec/recipe.md` describes both.
+`KEYS` are the keys of a recipe and `OWN_KEYS` those of every entry. The other keys of an entry are the settings of its
+verb, as the verb's own file in `verbs/` declares them: `requests.recipe_verbs()` gives them to `read_recipe`.
+
+A recipe is checked completely before any file is opened: all keys are known, and all placeholders have values. Each
+message names the line and the nearest correct word. The result is a list of jobs, a verb and its settings each.
 """
 
 from __future__ import annotations
@@ -16,8 +18,8 @@ from pathlib import Path
 from typing import Any
 
 from morphspace.errors import BadInput
-from morphspace.io.placeholders import WORD, filled, nearest, pieces_of, places_in
-from morphspace.io.recipe_text import Lined, Spot, read_rows, read_yaml
+from morphspace.io.recipe.placeholders import WORD, filled, nearest, pieces_of, places_in
+from morphspace.io.recipe.text import Lined, Spot, read_rows, read_yaml
 
 RECIPE_FORMAT = "morphspace-recipe"
 RECIPE_VERSION = 1
