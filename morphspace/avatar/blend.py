@@ -16,9 +16,10 @@ import numpy as np
 
 from morphspace.arrays import Affine, AnyArray, Image, Mask
 from morphspace.avatar.bands import Shown, banded, changed, detail_of, strength
-from morphspace.avatar.common_grid import CommonFace, Laid, around, check_finite, version_picture
+from morphspace.avatar.common_grid import CommonFace, Laid, check_finite, version_picture
 from morphspace.avatar.sharpness import WELL_INSIDE
 from morphspace.avatar.versions import Version, believed
+from morphspace.face.regions import widened
 from morphspace.flow.folds import unfolded
 from morphspace.grid import warp
 
@@ -77,7 +78,7 @@ class Mixer:
     @cached_property
     def near(self) -> Mask:
         """The region (h, w) around the face that still moves with it."""
-        return around(self.common.mask)
+        return widened(self.common.mask)
 
     @cached_property
     def mask_picture(self) -> Mask:

@@ -12,14 +12,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-import cv2
 import numpy as np
 
 from morphspace.arrays import Affine, AnyArray, Displacement, Image, Mask
-from morphspace.avatar.skin import inside_outline, skin_share
 from morphspace.errors import BadInput
 from morphspace.face.anchor import HELD, spline_from
 from morphspace.face.faceframe import FaceFrame, identity_affine
+from morphspace.face.regions import inside_outline, skin_share
 from morphspace.flow import methods
 from morphspace.flow.folds import unfolded
 from morphspace.grid import warp
@@ -28,7 +27,6 @@ from morphspace.model.model import MorphModel
 from morphspace.model.morph import Morph
 
 MOST_BEYOND_POINTS = 0.02  # of the width: how far the flow may leave the spline through the points
-NEXT_TO_MASK = 0.05  # of the width, sd: how far around the mask motion still follows the face
 
 
 @dataclass(frozen=True, eq=False)
@@ -124,12 +122,17 @@ def common_face(models: Sequence[MorphModel], keys: Sequence[str], reference: in
             rest = shortened(rest, MOST_BEYOND_POINTS * width)
         fields.append(unfolded(warp.compose(start, rest)))
     masks = [warp.sample_field(model.mask, field) for model, field in zip(models, fields, strict=True)]
-    outline = inside_outline(home)
-    mask = np.clip(np.min([*masks, *([] if outline is None else [outline])], axis=0), 0, 1).astype(np.float32)
-    skin = [
-        skin_share(home, warp.sample(np.array(model.mean.texture), field), mask)
-        for model, field in zip(models, fields, strict=True)
-    ]
+    points = landmarks_of(home)
+    if points is not None:
+        masks.append(inside_outline(points, height, width))
+    mask = np.clip(np.min(masks, axis=0), 0, 1).astype(np.float32)
+    skin = [np.ones((height, width), np.float32)] * len(models)
+    if points is not None:
+        textures = [
+            warp.sample(np.array(model.mean.texture), field)
+            for model, field in zip(models, fields, strict=True)
+        ]
+        skin = [skin_share(points, texture, mask) for texture in textures]
     return CommonFace(models, fields, mask, skin)
 
 
@@ -147,12 +150,3 @@ def shortened(field: Displacement, most_px: float) -> Displacement:
     """Shorten the vectors of a field smoothly below a length in px."""
     square = (field * field).sum(axis=2, keepdims=True) / np.float32(most_px**2)
     return (field / np.sqrt(1 + square)).astype(np.float32)
-
-
-def around(mask: Mask) -> Mask:
-    """Widen and soften a mask (h, w): 1 inside, falling to 0 at some distance."""
-    sd_px = NEXT_TO_MASK * mask.shape[1]
-    side = 2 * round(sd_px) + 1
-    wide = cv2.dilate(mask, cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (side, side)))
-    out: Mask = np.maximum(mask, cv2.GaussianBlur(wide, (0, 0), sd_px / 2, borderType=cv2.BORDER_REPLICATE))
-    return out

@@ -14,23 +14,20 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import ClassVar
 
-import cv2
 import numpy as np
 
 from morphspace.arrays import Affine, AnyArray, Displacement, Image, Mask, Points
 from morphspace.avatar.common_grid import Laid, placed, shortened
-from morphspace.avatar.skin import disc, filled
 from morphspace.avatar.versions import Version, believed
 from morphspace.face.anchor import CHEEKS_AND_CHIN, spline_from
 from morphspace.face.mesh import LANDMARKS, LIPS, PHILTRUM, POINT_COUNT, RIGID_POINTS
+from morphspace.face.regions import lips_region
 from morphspace.flow import methods
 from morphspace.flow.folds import unfolded
 from morphspace.grid import warp
 from morphspace.model.keypoints import landmarks_of
 from morphspace.model.model import MorphModel
 
-AROUND_LIPS = 0.03  # of the width: how far around the lips an expression has its own correspondence
-SOFT = 0.015  # of the width, sd of the edge of that
 DOUBT = 2.5  # how much more a regression errs on an expression carried over than on those it was learned from
 MOST_BEYOND_START = 0.04  # of the width: how far the flow may leave where it starts
 HOLDING = tuple(sorted({*LIPS, PHILTRUM, *RIGID_POINTS, *CHEEKS_AND_CHIN}))
@@ -119,10 +116,7 @@ class Matcher:
 
     def region(self, points: Landmarks, height: int, width: int) -> Mask:
         """Return the soft region (h, w) that is matched in each expression: the lips and what lies between them."""
-        lips = points.points[[self.holding.index(place) for place in LIPS]].astype(np.float32)
-        mouth = filled(cv2.convexHull(lips)[:, 0], height, width)
-        wider = cv2.dilate(mouth, disc(AROUND_LIPS * width))
-        return cv2.GaussianBlur(wider, (0, 0), SOFT * width, borderType=cv2.BORDER_REPLICATE)
+        return lips_region(points.points[[self.holding.index(place) for place in LIPS]], height, width)
 
     def _picture(self, i: int, version: Version) -> tuple[Image, Displacement]:
         """Draw a version's aligned picture (h, w, 3), and return the origin of each of its pixels as (h, w, 2) px."""

@@ -4,6 +4,10 @@ A mask is (h, w) in [0, 1], 1 inside. Three ellipses exist for any frame: the fa
 (Nagle et al., section 2), and the surroundings of the mouth. A faceframe places them, else the usual position in a
 frame cropped to a face. The named parts (`REGIONS`) lie on a mean face. They follow the landmarks if the model has
 them, else the usual proportions from its faceframe. Commands accept these names alone.
+
+For an avatar, a blend ends inside the outline of a mean face, because an ellipse includes background beside the jaw.
+Hair over one forehead would show through all others. It is recognised by being much darker than the person's own skin,
+and is looked for above the brows only, where nothing else of a face is dark.
 """
 
 from __future__ import annotations
@@ -14,10 +18,11 @@ import cv2
 import numpy as np
 from scipy import ndimage
 
-from morphspace.arrays import AnyArray, Displacement, Mask, Points
+from morphspace.arrays import AnyArray, Displacement, Image, Mask, Points
 from morphspace.errors import BadInput
 from morphspace.face.faceframe import FaceFrame
-from morphspace.face.mesh import FacePoints, landmark_places
+from morphspace.face.mesh import FACE_OUTLINE, LEFT_BROW, RIGHT_BROW, FacePoints, landmark_places
+from morphspace.flow.baselines import LUMA
 from morphspace.grid import warp
 
 # Ellipses in a frame cropped to a face, in shares of its width and height: centre x, y, half axes x, y.
@@ -50,6 +55,20 @@ ELLIPSES: Mapping[str, tuple[tuple[float, float, float, float], ...]] = {
 # Corners of the nose from the faceframe: across in eye distances, down as a share of the distance to the philtrum.
 NOSE = ((-0.14, 0.05), (0.14, 0.05), (0.36, 0.62), (0.36, 0.85), (-0.36, 0.85), (-0.36, 0.62))
 HALVES = 0.45  # share of the distance from eyes to philtrum at which upper and lower face meet
+
+# Of an avatar, in shares of the width where nothing else is said. An edge is the SD of its blur.
+INSIDE_OUTLINE = 0.04  # how far inside the outline a blend ends
+OUTLINE_EDGE = 0.03  # there the skin of two people meets
+HAIR, SKIN = (
+    0.65,
+    0.85,
+)  # of the median luma of a person's skin: hair is below the first, skin above the second
+HAIR_EDGE = 0.015
+AROUND_HAIR = 0.02  # hair is thinner at its ends than its colour tells
+ABOVE_BROWS = 0.02  # of the height, from the upper edge of the brows to where hair is looked for
+AROUND_LIPS = 0.03  # how far around the lips an expression has its own correspondence
+LIPS_EDGE = 0.015
+NEXT_TO_MASK = 0.05  # how far around the mask motion still follows the face
 
 
 def face_mask(height: int, width: int, faceframe: FaceFrame | None = None) -> Mask:
@@ -179,6 +198,71 @@ def mask_on_mean(drawn: Mask | None, mean_inverse: Displacement, faceframe: Face
     return mask
 
 
+def inside_outline(points: Points, height: int, width: int) -> Mask:
+    """Draw a soft mask (h, w) inside the outline of a face.
+
+    Parameters
+    ----------
+    points : array (478, 2) px
+        The points of the face mesh.
+    height, width : int
+        Size of the picture, px.
+
+    Returns
+    -------
+    array (h, w) in [0, 1]
+    """
+    outline = _polygon(points[list(FACE_OUTLINE)], height, width)
+    # Beyond the picture there is face: a chin that touches the edge keeps its mask there.
+    smaller = cv2.erode(outline, _disc(INSIDE_OUTLINE * width), borderType=cv2.BORDER_REPLICATE)
+    return _blurred(smaller, OUTLINE_EDGE * width)
+
+
+def skin_share(points: Points, texture: Image, mask: Mask) -> Mask:
+    """Compute the share of skin in a texture: 0 is hair over the forehead, 1 everything else.
+
+    Parameters
+    ----------
+    points : array (478, 2) px
+        The points of the face mesh on the texture.
+    texture : array (h, w, 3)
+    mask : array (h, w)
+        The face; its median luma is that of the person's skin.
+
+    Returns
+    -------
+    array (h, w) in [0, 1]
+        All ones if the mask is empty.
+    """
+    height, width = mask.shape
+    share = np.ones((height, width), np.float32)
+    if not (mask > 0.5).any():
+        return share
+    luma = cv2.GaussianBlur(texture @ LUMA, (0, 0), HAIR_EDGE * width / 2)
+    own = float(np.median(luma[mask > 0.5]))
+    if own <= 0:
+        return share
+    like_skin = np.clip((luma / own - HAIR) / (SKIN - HAIR), 0, 1).astype(np.float32)
+    share -= _forehead(points, height, width) * (1 - like_skin)
+    share = cv2.erode(share, _disc(AROUND_HAIR * width), borderType=cv2.BORDER_REPLICATE)
+    return _blurred(share, HAIR_EDGE * width)
+
+
+def lips_region(lips: Points, height: int, width: int) -> Mask:
+    """Draw a soft mask (h, w) of the lips and what lies between them, from points (m, 2) px on the lips."""
+    mouth = _polygon(cv2.convexHull(lips.astype(np.float32))[:, 0], height, width)
+    return _blurred(cv2.dilate(mouth, _disc(AROUND_LIPS * width)), LIPS_EDGE * width)
+
+
+def widened(mask: Mask) -> Mask:
+    """Widen and soften a mask (h, w): 1 inside, falling to 0 at some distance."""
+    sd_px = NEXT_TO_MASK * mask.shape[1]
+    side = 2 * round(sd_px) + 1
+    wide = cv2.dilate(mask, cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (side, side)))
+    out: Mask = np.maximum(mask, _blurred(wide, sd_px / 2))
+    return out
+
+
 def _soft_ellipse(
     height: int,
     width: int,
@@ -259,3 +343,28 @@ def _upper(frame: FaceFrame, height: int, width: int) -> Mask:
         np.float32
     )  # 1.7 approximates a Gaussian edge
     return out
+
+
+def _forehead(points: Points, height: int, width: int) -> Mask:
+    """Return the region above the brows, (h, w) 0 or 1: above a line through their upper edges, level beyond them."""
+    brows = points[[*RIGHT_BROW[:5], *LEFT_BROW[:5]]]
+    order = brows[:, 0].argsort(kind="stable")
+    edge = np.interp(np.arange(width), brows[order, 0], brows[order, 1]) - ABOVE_BROWS * height
+    return (np.arange(height)[:, None] < edge).astype(np.float32)
+
+
+def _polygon(points: Points, height: int, width: int) -> Mask:
+    """Fill a polygon (m, 2) px: (h, w), 1 inside, smooth at its edge."""
+    canvas = np.zeros((height, width), np.uint8)
+    cv2.fillPoly(canvas, [np.round(points * 2**FINER).astype(np.int32)], 255, cv2.LINE_AA, FINER)
+    return (canvas / np.float32(255)).astype(np.float32)
+
+
+def _disc(radius_px: float) -> AnyArray:
+    """Return a disc for dilation and erosion, with a radius of at least 1 px."""
+    side = 2 * max(1, round(radius_px)) + 1
+    return cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (side, side))
+
+
+def _blurred(mask: Mask, sd_px: float) -> Mask:
+    return cv2.GaussianBlur(mask, (0, 0), sd_px, borderType=cv2.BORDER_REPLICATE)

@@ -18,7 +18,6 @@ from morphspace.avatar.notes import notes_on
 from morphspace.avatar.selection import labels_of, model_key, spread_out
 from morphspace.avatar.settings import Expression, shares_of
 from morphspace.avatar.sharpness import curve, mean_curve, sharpened, sharpness
-from morphspace.avatar.skin import inside_outline, skin_share
 from morphspace.avatar.studio import studio_of
 from morphspace.avatar.versions import LEAST, Gaps, Version, falling
 from morphspace.cli.main import main
@@ -260,21 +259,16 @@ def test_where_one_has_no_mesh_points_the_faceframes_start_the_correspondence(an
         assert_array_equal(common_face(models, ["a", "b"], 0, "dis").fields[1], without)
 
 
-def test_the_blend_ends_inside_the_outline_of_the_face(anna):
-    assert inside_outline(anna) is None  # no mesh points
-    outline = inside_outline(mesh_on(anna))
-    assert outline[40, 32] == pytest.approx(1, abs=1e-3)
-    assert outline[40, 5] < 0.01 and outline[40, 10] < 0.25  # the rim lies at x = 10
-
-
-def test_only_what_is_dark_above_the_brows_is_hair(anna):
-    home = mesh_on(anna)
-    texture = np.full_like(home.mean.texture, 0.7)
-    texture[:20] = 0.1
-    texture[55:60] = 0.1  # a mouth
-    share = skin_share(home, texture, np.ones(home.mask.shape, np.float32))
-    assert (share[:15] < 0.05).all() and (share[32:] > 0.999).all()
-    assert (skin_share(anna, texture, home.mask) == 1).all()  # without mesh points nothing is known
+def test_outline_and_hair_need_mesh_points(anna, ben):
+    plain = common_face([anna, ben], ["a", "b"], 0, "dis")
+    assert all((share == 1).all() for share in plain.skin) and plain.mask[40, 10] > 0.5
+    meshed = common_face([mesh_on(anna), ben], ["a", "b"], 0, "dis")
+    assert meshed.mask[40, 10] < 0.25  # the rim lies at x = 10
+    assert (meshed.mask <= plain.mask + 1e-6).all()
+    dark = anna.mean.texture.copy()
+    dark[:20] = 0
+    hairy = replace(mesh_on(anna), mean=Morph.of(dark, anna.mean.displacement, anna.mean.reference_id))
+    assert (common_face([hairy, ben], ["a", "b"], 0, "dis").skin[0][:15] < 0.05).all()
 
 
 def looking(model, to_right):

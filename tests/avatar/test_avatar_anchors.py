@@ -9,11 +9,11 @@ import pytest
 
 from morphspace.avatar import AvatarSettings, blend_steps
 from morphspace.avatar.bands import changed, detail_of, strength
-from morphspace.avatar.common_grid import around
 from morphspace.avatar.sharpness import curve
-from morphspace.avatar.skin import inside_outline, skin_share
 from morphspace.avatar.studio import studio_of
 from morphspace.avatar.versions import Cast, Version, believed
+from morphspace.face.regions import inside_outline, skin_share, widened
+from morphspace.model.keypoints import landmarks_of
 from morphspace.requests import settings_in
 from morphspace.steps import result_of
 from morphspace.verbs.blend_avatar import BlendAvatarRequest
@@ -35,10 +35,10 @@ def figures(drawn_anna, drawn_ben):
     matcher = mixer.match.__self__
     matched = matcher.matched(versions, laid)[0].displacement - laid[0].displacement
     masks = {
-        "outline": inside_outline(anna),
-        "hair": skin_share(ben, ben.mean.texture, ben.mask),
+        "outline": inside_outline(landmarks_of(anna), *anna.mask.shape),
+        "hair": skin_share(landmarks_of(ben), ben.mean.texture, ben.mask),
         "mouth": matcher.region(matcher.landmarks(1, versions[1]), *anna.mask.shape),
-        "surround": around(anna.mask),
+        "surround": widened(anna.mask),
     }
     doubted = mixer.blended([Version(versions[0].morph, 0.5, versions[0].loadings), versions[1]])
     sharp = curve(anna.mean.render(), anna.mask)
@@ -58,13 +58,13 @@ def figures(drawn_anna, drawn_ben):
 @pytest.mark.parametrize(
     ("name", "expected"),
     [
-        ("outline area", 0.2879),  # skin.INSIDE_OUTLINE: + 17 %, none
-        ("outline edge", 0.0310),  # skin.EDGE: - 85 %, + 425 %
+        ("outline area", 0.2879),  # regions.INSIDE_OUTLINE: + 17 %, none
+        ("outline edge", 0.0310),  # regions.OUTLINE_EDGE: - 85 %, + 425 %
         ("hair area", 0.8854),  # AROUND_HAIR: + 3, - 36 %; ABOVE_BROWS: - 2, + 6 %; HAIR: + 6 %; SKIN: - 27 %
-        ("hair edge", 0.0151),  # skin.SOFT: - 88 %, + 90 %
-        ("surround area", 0.6126),  # common_grid.NEXT_TO_MASK: - 20 %, + 63 %
-        ("mouth area", 0.0404),  # mouth.AROUND_LIPS: - 23 %, + 940 %
-        ("mouth edge", 0.00617),  # mouth.SOFT: - 72 %, + 450 %
+        ("hair edge", 0.0151),  # regions.HAIR_EDGE: - 88 %, + 90 %
+        ("surround area", 0.6126),  # regions.NEXT_TO_MASK: - 20 %, + 63 %
+        ("mouth area", 0.0404),  # regions.AROUND_LIPS: - 23 %, + 940 %
+        ("mouth edge", 0.00617),  # regions.LIPS_EDGE: - 72 %, + 450 %
         ("correspondence", 1.953),  # px; common_grid.MOST_BEYOND_POINTS: 9 %, 2 %
         ("matched", 1.0925),  # px / 10; mouth.DOUBT x 10: 2 %
         ("curve", 0.5325),  # sharpness.RADIUS: none, - 74 %

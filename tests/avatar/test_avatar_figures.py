@@ -1,4 +1,4 @@
-"""Small figures of blends by hand: surround, doubt, hair, places, judged versions, and what a studio prepares."""
+"""Small figures of blends by hand: surround, doubt, places, judged versions, and what a studio prepares."""
 
 from dataclasses import replace
 
@@ -12,7 +12,6 @@ from morphspace.avatar.build import BlendedFrames
 from morphspace.avatar.common_grid import (
     CommonFace,
     Laid,
-    around,
     check_finite,
     mean_faceframe,
     places_on,
@@ -22,12 +21,11 @@ from morphspace.avatar.common_grid import (
 from morphspace.avatar.distances import mean_face_distances
 from morphspace.avatar.notes import gaze
 from morphspace.avatar.sharpness import Curve, curve, detail, mean_curve, sharpened
-from morphspace.avatar.skin import disc, filled, inside_outline, skin_share
 from morphspace.avatar.studio import studio_of
 from morphspace.avatar.versions import Cast, Gaps, Version, believed, falling
 from morphspace.cache import result_file, write_result
 from morphspace.errors import BadInput
-from morphspace.face.mesh import FACE_OUTLINE, POINT_COUNT
+from morphspace.face.mesh import POINT_COUNT
 from morphspace.grid import warp
 from morphspace.model.morph import Morph
 from morphspace.requests import settings_in
@@ -47,19 +45,6 @@ def test_vectors_are_shortened_towards_a_length_and_keep_their_direction():
         length = np.hypot(*long)
         assert_allclose(short, long / np.sqrt(1 + (length / 5) ** 2), rtol=1e-5)
     assert found.shape == field.shape
-
-
-def test_the_surroundings_of_a_mask_are_one_inside_and_fade_outside():
-    """NEXT_TO_MASK: widened by 5 % of the width, and blurred by half of that."""
-    mask = np.zeros((100, 100), np.float32)
-    mask[40:60, 40:60] = 1
-    wide = around(mask)
-    assert_allclose(wide[40:60, 40:60], 1, atol=1e-6)
-    assert (wide >= mask).all()
-    assert wide[50, 65] == pytest.approx(
-        0.42, abs=0.02
-    )  # the widened edge lies between 64 and 65, 0.2 SD before
-    assert wide[50, 62] > 0.8 and wide[50, 75] < 0.01 and wide[10, 10] == 0
 
 
 def test_pictures_go_where_the_faceframes_lie(drawn_anna, drawn_ben):
@@ -175,42 +160,6 @@ def test_gaps_are_measured_from_the_neutral_faces_of_both(drawn_anna):
     missed = gaps.judged(row, model.training.values[2])[0]
     of = [gaps._of(model, values) for values in (row, model.training.values[2])]
     assert missed == pytest.approx(np.abs(of[0] - of[1]).max() / gaps.eyes_px)
-
-
-def test_hair_is_what_is_dark_against_the_persons_own_skin(drawn_anna):
-    """HAIR and SKIN: 0.65 and 0.85 of the median luma; between them a pixel is half hair."""
-    model = drawn_anna.model
-    rows = slice(0, 14)
-    for shade, share in ((0.55, 0.0), (0.75, 0.5), (0.95, 1.0)):
-        texture = np.full_like(model.mean.texture, 0.6)
-        texture[rows] = 0.6 * shade
-        found = skin_share(model, texture, model.mask)
-        assert found[3, 40] == pytest.approx(share, abs=0.02) and found[80, 40] == pytest.approx(1, abs=1e-3)
-    assert (skin_share(model, 0 * texture, model.mask) == 1).all()
-    assert (skin_share(model, texture, 0 * model.mask) == 1).all()
-
-
-def test_an_outline_is_filled_to_a_fraction_of_a_pixel():
-    square = np.array([[10.0, 10], [30, 10], [30, 20.5], [10, 20.5]])
-    inside = filled(square, 40, 50)
-    assert inside[15, 20] == 1 and inside[5, 5] == 0 and inside.max() == 1
-    assert inside.sum() == pytest.approx(22 * 12, rel=0.02)  # half a pixel of smooth edge on each side
-    assert [disc(radius).shape[0] for radius in (0.0, 1.0, 2.4, 2.6)] == [3, 3, 5, 7]
-
-
-def test_the_blend_ends_inside_the_outline(drawn_anna):
-    """INSIDE_OUTLINE and EDGE: half of the mask is left 0.04 of the width inside the outline."""
-    model = drawn_anna.model
-    points = np.zeros((POINT_COUNT, 2))
-    turn = 2 * np.pi * np.arange(len(FACE_OUTLINE)) / len(FACE_OUTLINE)
-    points[list(FACE_OUTLINE)] = np.column_stack([40 + 30 * np.sin(turn), 48 - 36 * np.cos(turn)])
-    known = {**model.provenance["keypoints"], "points": points.tolist()}
-    mask = inside_outline(model.with_faceframe(model.faceframe, known))
-    line = mask[48]
-    assert line[40] == pytest.approx(1, abs=1e-3)
-    half = np.interp(0.5, line[5:40], np.arange(5, 40))
-    assert half == pytest.approx(10 + 0.04 * 80, abs=1.0)
-    assert np.interp(0.84, line[5:40], np.arange(5, 40)) - half == pytest.approx(0.03 * 80, abs=0.4)  # an SD
 
 
 def test_the_amount_of_sharpening_is_the_least_root():

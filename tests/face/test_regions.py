@@ -6,8 +6,20 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from morphspace.errors import BadInput
 from morphspace.face.faceframe import FaceFrame
-from morphspace.face.mesh import LANDMARKS, RIGHT_LIDS
-from morphspace.face.regions import REGIONS, face_mask, mouth_surroundings, region_mask, rigid_region
+from morphspace.face.mesh import FACE_OUTLINE, LANDMARKS, LEFT_BROW, POINT_COUNT, RIGHT_BROW, RIGHT_LIDS
+from morphspace.face.regions import (
+    REGIONS,
+    _disc,
+    _polygon,
+    face_mask,
+    inside_outline,
+    lips_region,
+    mouth_surroundings,
+    region_mask,
+    rigid_region,
+    skin_share,
+    widened,
+)
 from morphspace.grid import warp
 
 HEIGHT, WIDTH = 120, 96
@@ -116,3 +128,69 @@ def test_a_part_that_is_not_known_is_refused():
     with pytest.raises(BadInput, match="'ears'"):
         part("eyes+ears")
     assert region_mask("whole", *SIZE, None).all()
+
+
+# masks of an avatar
+
+
+def mesh_points():
+    """Mesh points (478, 2) px in 80 x 96 px: the outline on an ellipse, the brows on a line, the rest in the middle."""
+    points = np.tile([40.0, 48.0], (POINT_COUNT, 1))
+    turn = 2 * np.pi * np.arange(len(FACE_OUTLINE)) / len(FACE_OUTLINE)
+    points[list(FACE_OUTLINE)] = np.column_stack([40 + 30 * np.sin(turn), 48 - 36 * np.cos(turn)])
+    for brow, left in ((RIGHT_BROW, 18.0), (LEFT_BROW, 46.0)):
+        points[list(brow)] = np.column_stack(
+            [np.linspace(left, left + 16, len(brow)), np.full(len(brow), 34.0)]
+        )
+    return points
+
+
+def test_an_outline_is_filled_to_a_fraction_of_a_pixel():
+    square = np.array([[10.0, 10], [30, 10], [30, 20.5], [10, 20.5]])
+    inside = _polygon(square, 40, 50)
+    assert inside[15, 20] == 1 and inside[5, 5] == 0 and inside.max() == 1
+    assert inside.sum() == pytest.approx(22 * 12, rel=0.02)  # half a pixel of smooth edge on each side
+    assert [_disc(radius).shape[0] for radius in (0.0, 1.0, 2.4, 2.6)] == [3, 3, 5, 7]
+
+
+def test_the_blend_ends_inside_the_outline():
+    """INSIDE_OUTLINE and OUTLINE_EDGE: half of the mask is left 0.04 of the width inside the outline."""
+    line = inside_outline(mesh_points(), 96, 80)[48]
+    assert line[40] == pytest.approx(1, abs=1e-3)
+    half = np.interp(0.5, line[5:40], np.arange(5, 40))
+    assert half == pytest.approx(10 + 0.04 * 80, abs=1.0)
+    assert np.interp(0.84, line[5:40], np.arange(5, 40)) - half == pytest.approx(0.03 * 80, abs=0.4)  # an SD
+
+
+def test_hair_is_what_is_dark_above_the_brows_against_the_persons_own_skin():
+    """HAIR and SKIN: 0.65 and 0.85 of the median luma; between them a pixel is half hair."""
+    mask = face_mask(96, 80)
+    for shade, share in ((0.55, 0.0), (0.75, 0.5), (0.95, 1.0)):
+        texture = np.full((96, 80, 3), 0.6, np.float32)
+        texture[:20] = texture[70:75] = 0.6 * shade  # a forehead and a mouth
+        found = skin_share(mesh_points(), texture, mask)
+        assert_allclose(found[:15], share, atol=0.02)
+        assert_allclose(found[38:], 1, atol=1e-3)
+    assert (skin_share(mesh_points(), 0 * texture, mask) == 1).all()
+    assert (skin_share(mesh_points(), texture, 0 * mask) == 1).all()
+
+
+def test_the_region_of_the_lips_is_their_hull_widened():
+    """AROUND_LIPS and LIPS_EDGE: 3 % of the width beyond the lips, with an edge of 1.5 %."""
+    corners = np.array([[80.0, 60], [120, 60], [120, 80], [80, 80]])
+    line = lips_region(corners, 160, 200)[70]
+    assert line[100] == pytest.approx(1, abs=1e-3)
+    assert np.interp(0.5, line[:100], np.arange(100)) == pytest.approx(80 - 0.03 * 200, abs=1.0)
+    assert line[60] < 1e-3
+
+
+def test_the_surroundings_of_a_mask_are_one_inside_and_fade_outside():
+    """NEXT_TO_MASK: widened by 5 % of the width, and blurred by half of that."""
+    mask = np.zeros((100, 100), np.float32)
+    mask[40:60, 40:60] = 1
+    wide = widened(mask)
+    assert_allclose(wide[40:60, 40:60], 1, atol=1e-6)
+    assert (wide >= mask).all()
+    # The widened edge lies between 64 and 65, 0.2 SD before.
+    assert wide[50, 65] == pytest.approx(0.42, abs=0.02)
+    assert wide[50, 62] > 0.8 and wide[50, 75] < 0.01 and wide[10, 10] == 0
