@@ -1,18 +1,19 @@
 """Display a model and loadings in a notebook: HTML cards, and figures by matplotlib (ours).
 
 `model` is a `MorphModel` and `loadings` are `Loadings`, both of which import this module. matplotlib is imported for
-a figure only; nothing else in the package needs it.
+a figure only; nothing else in the package needs it. Text is escaped by its type: what is not `Markup` is escaped when
+it is inserted, as in the templates of pages. This room lies below those templates.
 """
 
 from __future__ import annotations
 
 import base64
 from collections.abc import Mapping, Sequence
-from html import escape
 from typing import Annotated, Any
 
 import numpy as np
 from annotated_types import Ge
+from markupsafe import Markup
 
 from morphspace.arrays import Image
 from morphspace.errors import BadInput, optional
@@ -27,22 +28,22 @@ DRAWN, AMOUNT = field_of("components", Annotated[int, Ge(1)]), field_of("amount_
 LEGEND_AT_MOST = 10  # lines; a longer legend covers the figure
 
 
-def picture_tag(image: Image, title: str, width_px: int = CARD_WIDTH_PX) -> str:
-    """Return an HTML `img` of a picture (h, w, 3) in [0, 1], with embedded data; the title is escaped."""
+def picture_tag(image: Image, title: str, width_px: int = CARD_WIDTH_PX) -> Markup:
+    """Return an HTML `img` of a picture (h, w, 3) in [0, 1] with embedded data."""
     data = base64.b64encode(jpeg_bytes(np.clip(image, 0, 1))).decode("ascii")
-    words = escape(title, quote=True)
-    return f'<img width="{width_px}" title="{words}" alt="{words}" src="data:image/jpeg;base64,{data}">'
+    form = Markup('<img width="{width}" title="{title}" alt="{title}" src="data:image/jpeg;base64,{data}">')
+    return form.format(width=width_px, title=title, data=data)
 
 
-def card(heading: str, facts: Mapping[str, Any], rows: Sequence[Sequence[str]] = ()) -> str:
-    """Return an HTML card: a heading, a table of facts, and rows of pictures (`picture_tag`). Facts are escaped."""
-    table = "".join(
-        f"<tr><th style='text-align:left'>{escape(name)}</th><td style='text-align:left'>{escape(str(value))}</td></tr>"
-        for name, value in facts.items()
-        if value is not None
+def card(heading: str, facts: Mapping[str, Any], rows: Sequence[Sequence[Markup]] = ()) -> str:
+    """Return an HTML card: a heading, a table of facts without those that are None, and rows of `picture_tag`."""
+    fact = Markup("<tr><th style='text-align:left'>{}</th><td style='text-align:left'>{}</td></tr>")
+    line, join = Markup("<div style='white-space:nowrap'>{}</div>"), Markup("").join
+    return Markup("<div><b>{}</b><table>{}</table>{}</div>").format(
+        heading,
+        join(fact.format(name, value) for name, value in facts.items() if value is not None),
+        join(line.format(join(row)) for row in rows),
     )
-    pictures = "".join(f"<div style='white-space:nowrap'>{''.join(row)}</div>" for row in rows)
-    return f"<div><b>{escape(heading)}</b><table>{table}</table>{pictures}</div>"
 
 
 def model_card(model: Any) -> str:

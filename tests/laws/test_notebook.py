@@ -1,5 +1,6 @@
 """The functions for a notebook: docs/notebook.md runs, and what they return agrees with the models' own methods."""
 
+import dataclasses
 import importlib
 import inspect
 import re
@@ -88,15 +89,20 @@ def test_faces_are_a_sequence(model, tmp_path):
 
 
 def test_what_a_notebook_shows_is_escaped_and_whole(model):
-    import dataclasses
-
-    bad = dataclasses.replace(model, provenance={**model.provenance, "identity": "<script>x</script>"})
-    page = bad._repr_html_()
-    assert "<script>" not in page and "&lt;script&gt;" in page
-    assert page.count("<img") == 1 + 2 * min(3, model.rank)
-    assert "CC0" in page
-    for shown in (model.training, ms.caricature(model, model.training[:2])):
-        assert "model id" in shown._repr_html_() and "\n" not in repr(shown)
+    script = "\"<script>'x'</script>"
+    entries = dict.fromkeys(("identity", "consent", "licence"), script)
+    names = (script, *model.training.frame_names[1:])
+    frames = dataclasses.replace(model.training, frame_names=names)
+    bad = dataclasses.replace(model, provenance={**model.provenance, **entries}, training=frames)
+    faces = dataclasses.replace(ms.caricature(model, model.training[:2], gains=1.0), names=(script, "two"))
+    for shown, times in ((bad, 3), (frames, 1), (faces, 2)):
+        page = shown._repr_html_()
+        assert "<script" not in page and page.count("&#34;&lt;script&gt;&#39;x&#39;&lt;/script&gt;") == times
+        assert "model id" in page and "\n" not in repr(shown)
+    assert bad._repr_html_().count("<img") == 1 + 2 * min(3, model.rank)
+    assert (
+        "<tr><th style='text-align:left'>licence</th><td style='text-align:left'>CC0<" in model._repr_html_()
+    )
 
 
 def test_a_table_has_a_row_a_frame_and_a_column_a_component(model):
