@@ -383,8 +383,8 @@ def _provenance(studio: Studio, frames: BlendedFrames, amount: float) -> dict[st
         "identity": "avatar",
         "versions": {},
         **settings.provenance,
-        "consent": told_together(labels, [model.provenance.get("consent") for model in models]),
-        "licence": told_together(labels, [model.provenance.get("licence") for model in models]),
+        "consent": joint_entry(labels, [model.provenance.get("consent") for model in models]),
+        "licence": joint_entry(labels, [model.provenance.get("licence") for model in models]),
         "frame_rate_hz": None,
         "framing": {"source_size": [width, height], "crop": None, "size": [width, height]},
         "inputs": dict(zip(frames.names, frames.digests, strict=True)),
@@ -405,10 +405,17 @@ def _provenance(studio: Studio, frames: BlendedFrames, amount: float) -> dict[st
     }
 
 
-def told_together(labels: Sequence[str], told: Sequence[Any]) -> Any:
-    """Return the entry that all models share, or the entry of each; None where no model has one."""
-    if all(one == told[0] for one in told):
-        return told[0]
+def joint_entry(labels: Sequence[str], entries: Sequence[Any]) -> Any:
+    """Return the entry that all share (None if none has one), or a text with the entry of each label.
+
+    Examples
+    --------
+    >>> joint_entry(["anna", "ben"], ["CC0", "CC0"]), joint_entry(["anna", "ben"], ["CC0", None])
+    ('CC0', 'anna: CC0; ben: not recorded')
+    """
+    if all(one == entries[0] for one in entries):
+        return entries[0]
     return "; ".join(
-        f"{label}: {'not told' if one is None else one}" for label, one in zip(labels, told, strict=True)
+        f"{label}: {'not recorded' if one is None else one}"
+        for label, one in zip(labels, entries, strict=True)
     )

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from morphspace.arrays import Affine
-from morphspace.avatar.build import told_together
+from morphspace.avatar.build import joint_entry
 from morphspace.avatar.common_grid import common_face, placed
 from morphspace.avatar.selection import labels_of, model_key
 from morphspace.avatar.settings import check_models
@@ -173,8 +173,8 @@ def _provenance(
     width, height = models[0].size
     return {
         "identity": "-".join(labels),
-        "consent": told_together(labels, [model.provenance.get("consent") for model in models]),
-        "licence": told_together(labels, [model.provenance.get("licence") for model in models]),
+        "consent": joint_entry(labels, [model.provenance.get("consent") for model in models]),
+        "licence": joint_entry(labels, [model.provenance.get("licence") for model in models]),
         "frame_rate_hz": None,
         "framing": {"source_size": [width, height], "crop": None, "size": [width, height]},
         "mask_sha256": None,

@@ -23,63 +23,87 @@ from morphspace.storage import json_text, write_texts
 NAMED = 5  # components in a sentence
 ALL = "all"  # the row of all components together
 
+_SHIFTED = "p: share of the imitation's circular shifts, itself included, with"
+_COPIED = "p: share of the imitation's altered copies, itself included, with"
+_BOTH = "(copies of random phases or of reordered pieces; the larger of the two shares)"
+
 # In the order of the table: name -> (unit, what it is).
 COLUMNS: dict[str, tuple[str, str]] = {
-    "name": ("", f"the component, or {ALL}: all together"),
-    "variance_percent": ("%", "share of the model's variance"),
-    "visible_share": ("", "share of the component that the mask or region shows; 1 for the whole face"),
+    "name": ("", f"component of the row; {ALL}: all components together"),
+    "variance_percent": ("%", "share of the model's variance that the component explains"),
+    "visible_share": ("", "share of the component that lies inside the mask or region; 1 for the whole face"),
     "correlation": (
         "",
-        "Pearson's r of frames in pairs; all: summed covariances over the root of summed variances",
+        f"Pearson correlation over paired frames; {ALL}: sum of the covariances divided by the root of the product of "
+        "the summed variances",
     ),
-    "correlation_p": ("", "chance of a correlation as high"),
-    "correlation_p_familywise": ("", "the same, with every component tested at once (Westfall and Young)"),
-    "cosine": ("", "cosine of the two sequences as vectors, from the model's mean"),
-    "gain": ("", "slope of the imitation on the stimulus, from the mean of each"),
+    "correlation_p": ("", f"{_SHIFTED} a correlation at least as high"),
+    "correlation_p_familywise": (
+        "",
+        "correlation_p corrected for the number of components (Westfall and Young 1993, single step)",
+    ),
+    "cosine": ("", "cosine of the angle between the two sequences as vectors from the model's mean face"),
+    "gain": ("", "slope of the regression of the imitation on the stimulus, both without their means"),
     "distance_sd": (
         "SD",
-        "Euclidean distance in SD of each component, root mean square over frames in pairs",
+        "root mean square over paired frames of the Euclidean distance, each component in its SD",
     ),
-    "distance_sd_p": ("", "chance of a distance as small"),
-    "distance": ("loading", "Euclidean distance in plain loadings, root mean square over frames in pairs"),
-    "distance_centred_sd": ("SD", "distance_sd once each sequence is moved to its own mean"),
+    "distance_sd_p": ("", f"{_SHIFTED} a distance at least as small"),
+    "distance": (
+        "loading",
+        "root mean square over paired frames of the Euclidean distance, in plain loadings",
+    ),
+    "distance_centred_sd": ("SD", "distance_sd after the mean of each sequence is subtracted"),
     "mutual_information_nats": (
         "nat",
-        "Kraskov, Stögbauer and Grassberger 2004, estimator 1, 3 neighbours; all: the sum over components",
+        "mutual information of paired frames (Kraskov, Stögbauer and Grassberger 2004, estimator 1, 3 neighbours); "
+        f"{ALL}: sum over components",
     ),
-    "mutual_information_nats_p": ("", "chance of as much mutual information"),
+    "mutual_information_nats_p": ("", f"{_SHIFTED} at least as much mutual information"),
     "entropy_stimulus_nats": (
         "nat",
-        "differential Shannon entropy of loadings in SD, Ebrahimi's estimator; all: the sum over components",
+        "differential Shannon entropy of the stimulus' loadings in SD (Ebrahimi, Pflughoeft and Soofi 1994); "
+        f"{ALL}: sum over components",
     ),
-    "entropy_imitation_nats": ("nat", "the same of the imitation"),
+    "entropy_imitation_nats": (
+        "nat",
+        "differential Shannon entropy of the imitation's loadings in SD, likewise",
+    ),
     "lag_frames": (
         "frame",
-        "lag of the highest correlation over at least half of the shorter sequence; above 0 the imitation is later",
+        "lag at which the correlation is highest, with at least half of the shorter sequence in common; positive: the "
+        "imitation is later",
     ),
-    "lag_s": ("s", "the same in seconds, where a frame rate is known"),
-    "correlation_at_lag": ("", "the correlation at that lag"),
-    "correlation_at_lag_p": ("", "chance of one as high at its own best lag, the larger of two kinds"),
+    "lag_s": ("s", "lag_frames in seconds; empty if the frame rate is unknown"),
+    "correlation_at_lag": ("", "correlation at that lag"),
+    "correlation_at_lag_p": ("", f"{_COPIED} a correlation at least as high at its own best lag {_BOTH}"),
     "correlation_aligned": (
         "",
-        "correlation after dynamic time warping, which is one for all components and at most a quarter of the length",
+        "correlation after dynamic time warping: one alignment for all components, which shifts a frame by at most a "
+        "quarter of the longer sequence",
     ),
-    "correlation_aligned_p": ("", "chance of one as high after its own alignment, the larger of two kinds"),
+    "correlation_aligned_p": (
+        "",
+        f"{_COPIED} a correlation at least as high after its own alignment {_BOTH}",
+    ),
     "alignment_cost": (
         "",
-        "distance left a step between the two aligned motions, each centred and of mean square 1; only all together",
+        "mean distance of aligned frames, after both sequences are centred and scaled to a mean square of 1; only in "
+        f"the row {ALL}",
     ),
-    "alignment_cost_p": ("", "chance of a cost as low, the larger of two kinds"),
-    "alignment_steps": ("step", "length of the path of pairs of frames; only all together"),
+    "alignment_cost_p": ("", f"{_COPIED} a cost at least as low {_BOTH}"),
+    "alignment_steps": ("step", f"number of pairs of aligned frames; only in the row {ALL}"),
     "alignment_timing_rms_frames": (
         "frame",
-        "how far alignment moved frames from an even course; only all together",
+        "root mean square of the difference between the alignment and an imitation that runs evenly from start to end; "
+        f"only in the row {ALL}",
     ),
     "alignment_delay_frames": (
         "frame",
-        "how much later than an even course the imitation is; only all together",
+        "mean delay of the imitation relative to one that runs evenly from start to end; only in the row "
+        f"{ALL}",
     ),
-    "undefined": ("", "why cells of the row are empty, where they should not be"),
+    "undefined": ("", "the reason why measures of the row are empty"),
 }
 
 Share = Annotated[float, Gt(0), Le(1)]

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from morphspace.arrays import AnyArray, LoadingTable
-from morphspace.avatar.build import told_together
+from morphspace.avatar.build import joint_entry
 from morphspace.errors import BadInput
 from morphspace.io.clips import Clip
 from morphspace.io.clock import evenly_sampled
@@ -96,7 +96,7 @@ def rights_of(model: MorphModel, clip: Clip) -> dict[str, Any]:
         of_model, of_clip = model.provenance.get(key), getattr(clip.sidecar, key)
         if of_clip is None and identity == model.identity:
             of_clip = of_model
-        found[key] = told_together(labels, [of_model, of_clip])
+        found[key] = joint_entry(labels, [of_model, of_clip])
     return found
 
 

@@ -7,7 +7,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 from morphspace.avatar import AvatarSettings
-from morphspace.avatar.build import _nearest_to_rest, checked, told_together
+from morphspace.avatar.build import _nearest_to_rest, checked, joint_entry
 from morphspace.avatar.notes import notes_on
 from morphspace.avatar.pair import pair_model
 from morphspace.avatar.selection import nearest_to_all
@@ -187,10 +187,10 @@ def test_three_of_the_expressions_without_somebody_are_named(model, count, words
     assert f"ben is left out of {count} of 6" in note and words in note
 
 
-def test_what_models_tell_is_told_together():
-    assert told_together(("a", "b"), ["CC0", "CC0"]) == "CC0"
-    assert told_together(("a", "b"), [None, None]) is None
-    assert told_together(("a", "b"), ["CC0", None]) == "a: CC0; b: not told"
+def test_an_entry_that_models_share_stands_once_and_others_stand_with_their_labels():
+    assert joint_entry(("a", "b"), ["CC0", "CC0"]) == "CC0"
+    assert joint_entry(("a", "b"), [None, None]) is None
+    assert joint_entry(("a", "b"), ["CC0", None]) == "a: CC0; b: not recorded"
 
 
 def test_a_version_belongs_to_nobody_unless_it_says_so(drawn_anna):
