@@ -1,10 +1,10 @@
 """The motion constraints of two pictures at each pixel: many derivative channels, summed in one tensor.
 
-Each derivative (i, j) of the image has its own motion constraint, X du + Y dv + T = 0. X and Y are its slopes in the
-mean of both pictures, T is its change. Divided by its slope a constraint is a distance in px, from which the
-picture's contrast cancels: the ratio of the Multi-channel Gradient Model (Johnston, McOwan and Benton, Proc. R. Soc.
-B 1999). The sum of their squares is a quadratic in (du, dv), six numbers a pixel, and all that the solver uses of the
-pictures.
+Each derivative (j, k) of the image has its own motion constraint, g_x du + g_y dv + g_t = 0. g_x and g_y are its slopes
+in the mean of both pictures, g_t is its change (docs/methods.md, section 4). Divided by its slope a constraint is a
+distance in px, from which the picture's contrast cancels: the ratio of the Multi-channel Gradient Model (Johnston,
+McOwan and Benton, Proc. R. Soc. B 1999). The sum of their squares is a quadratic in (du, dv), six numbers a pixel, and
+all that the solver uses of the pictures.
 """
 
 from __future__ import annotations
@@ -186,7 +186,7 @@ def _add_constraints(
     agreement: Planes | float,
     channels: Channels,
 ) -> None:
-    """Add the constraints of some rows to the six sums `total` (6, h, w); the sums with T use half the change."""
+    """Add the constraints of some rows to the six sums `total` (6, h, w); the sums with g_t use half the change."""
     mean = reference[1:] + frame[1:]
     colours = mean.shape[1]
     square = backend.dot(mean, mean)

@@ -79,7 +79,7 @@ class Basis:
         return InnerProducts(self.components, self.weight)
 
     def expand(self, loadings: AnyArray, columns: slice = ALL) -> AnyArray:
-        """Compute the mean-relative vectors (..., d) float32 of loadings (..., k): R = P l, Nagle et al., section 2.
+        """Compute the mean-relative vectors (..., d) float32 of loadings (..., k): R = P L, Nagle et al., section 2.
 
         `columns` selects a range of the d numbers.
         """
@@ -109,7 +109,7 @@ class Basis:
 
 @dataclass(frozen=True, eq=False)
 class InnerProducts:
-    """The inner products P C r of components P (k, d) and offsets r (d,) with weights C (d,).
+    """The inner products P' C R of components P' (k, d) and offsets R (d,) with weights C (d,).
 
     Many pixels lie outside every mask. The components at the others are copied once, which halves the memory read for
     each face.
@@ -125,17 +125,17 @@ class InnerProducts:
 
     @cached_property
     def weighted(self) -> AnyArray:
-        """P C at those columns, (k, n) float32."""
+        """P' C at those columns, (k, n) float32."""
         weighted = np.ascontiguousarray(self.components[:, self.places], np.float32)
         weighted *= self.weight[self.places]
         return weighted
 
     def with_offset(self, offset: AnyArray) -> LoadingVector:
-        """Compute P C r (k,) of a mean-relative vector (d,)."""
+        """Compute P' C R (k,) of a mean-relative vector (d,)."""
         return np.asarray(self.weighted @ np.take(offset, self.places), np.float64)
 
     def gram(self) -> AnyArray:
-        """Compute P C P' (k, k), summed over blocks of columns in float64."""
+        """Compute P' C P (k, k), summed over blocks of columns in float64."""
         total = np.zeros((len(self.components), len(self.components)))
         for start, stop in column_ranges(2 * len(self.components), 0, len(self.places)):
             places = self.places[start:stop]

@@ -24,14 +24,14 @@ NOISE_FLOOR = 1e-3
 
 @dataclass(frozen=True, eq=False)
 class Observations:
-    """Further observations y (m,) that depend on the loadings linearly, y = l `weights` + noise.
+    """Further observations y (m,) that depend on the loadings L (k,) linearly, y = Y L + noise.
 
     Attributes
     ----------
     weights : array (k, m)
-        Change of each observation per unit of each loading.
+        Y': the change of each observation per unit of each loading.
     precision : array (m,)
-        1 over the variance of each observation.
+        N: 1 over the variance of each observation.
     """
 
     weights: AnyArray
@@ -40,11 +40,11 @@ class Observations:
 
 @dataclass(frozen=True, eq=False)
 class Posterior:
-    """The posterior of loadings l given an offset r with weights.
+    """The posterior of loadings L given an offset R with weights (docs/methods.md, section 8).
 
-    With P the components, C the weights, s^2 the noise and V the variances, the mean is
-    l = (P C P' + s^2 V^-1)^-1 P C r. With observations y of weights W and precision N it is
-    l = (P C P' + s^2 W N W' + s^2 V^-1)^-1 (P C r + s^2 W N y).
+    With P' the components (k, d), C the weights, sigma^2 the noise and V the variances, the mean is
+    L = (P' C P + sigma^2 V^-1)^-1 P' C R. With `Observations` y it is
+    L = (P' C P + sigma^2 Y' N Y + sigma^2 V^-1)^-1 (P' C R + sigma^2 Y' N y).
     The system is solved in SD of the components, where it is well conditioned, by Cholesky's method in float64.
 
     Parameters
@@ -97,12 +97,12 @@ class Posterior:
 
     @cached_property
     def inner_products(self) -> InnerProducts:
-        """P C."""
+        """P' C."""
         return InnerProducts(self.basis.components, self.weight)
 
     @cached_property
     def gram(self) -> AnyArray:
-        """P C P', (k, k) float64."""
+        """P' C P, (k, k) float64."""
         return self.inner_products.gram()
 
     @property
@@ -131,7 +131,7 @@ class Posterior:
 
     @cached_property
     def _factor(self) -> AnyArray:
-        """Cholesky's factor of the system in SD: S (P C P' + s^2 W N W') S + s^2, with S the SD of each component."""
+        """Cholesky's factor of the system in SD of the components: sd (P' C P + sigma^2 Y' N Y) sd + sigma^2."""
         known = self.gram
         if self.observations is not None:
             weights = self.observations.weights

@@ -19,7 +19,7 @@ LEAST_WEIGHT = 1e-12  # a face of a smaller weight leaves
 
 
 def nearest_mixture(differences: AnyArray, costs: AnyArray) -> AnyArray:
-    """Compute the weights w >= 0 of sum 1 that minimise |w D|^2 + w c.
+    """Compute the weights z >= 0 of sum 1 that minimise |z D|^2 + z c.
 
     Parameters
     ----------

@@ -68,11 +68,11 @@ class Fitter:
     mask: Mask
 
     def fit(self, image: Image, start: LoadingVector, *, steps: int = STEPS) -> LoadingVector:
-        """Minimise sum_p A(p) mask(p) |I(p + u(p)) - T(p)|^2 + noise * sum_j l_j^2 / variance_j over the loadings l.
+        """Minimise sum_p area(p) mask(p) |I(p + u(p)) - T(p)|^2 + noise * sum_j L_j^2 / variance_j over the loadings L.
 
-        A(p) is the area of p in the picture. The curvature of the sum comes from a subset of the pixels, the gradient
-        from all: the subset changes the number of steps, not the minimum. A step that does not lower the sum is
-        halved, twice at most.
+        area(p) is the area of p in the picture. The curvature of the sum comes from a subset of the pixels, the
+        gradient from all: the subset changes the number of steps, not the minimum. A step that does not lower the sum
+        is halved, twice at most.
 
         Parameters
         ----------
@@ -161,7 +161,7 @@ class Fitter:
     def _downhill(
         self, loadings: LoadingVector, along: tuple[AnyArray, AnyArray], state: _State
     ) -> LoadingVector:
-        """Compute half the negative gradient of the sum, (k,): d residual / d l_j = grad I . u_j - T_j."""
+        """Compute half the negative gradient of the sum, (k,): d residual / d L_j = grad I . u_j - T_j."""
         weighed = state.weight * state.residual
         by_moving = np.concatenate([(weighed * slope).sum(axis=0) for slope in along])
         gradient = self._textures @ weighed.reshape(-1) - self._displacements @ by_moving

@@ -68,7 +68,7 @@ class Loadings:
     model_id : str
         The model whose components the columns refer to.
     unit : {"raw", "sd"}
-        Raw loadings are in units of the model's inner product and satisfy R = P l. Tables and sidecars hold loadings
+        Raw loadings are in units of the model's inner product and satisfy R = P L. Tables and sidecars hold loadings
         in SD of each component over the training faces.
 
     Raises

@@ -264,7 +264,7 @@ class MorphModel:
 
         References
         ----------
-        Nagle et al., section 2: l = (M - mean) x P.
+        Nagle et al., section 2: L = (M - mean) x P.
         """
         return self.basis.project((morph - self.mean).vector)
 
@@ -306,7 +306,7 @@ class MorphModel:
         return Fitter(self.mean, self.basis, self.mask)
 
     def expand(self, loadings: AnyArray | Loadings) -> Morph:
-        """Compute the morph of one face: mean + P l (Nagle et al., section 2).
+        """Compute the morph of one face: mean + P L (Nagle et al., section 2).
 
         Parameters
         ----------
@@ -323,7 +323,7 @@ class MorphModel:
         return self.mean + self.offset(loadings)
 
     def offset(self, loadings: AnyArray | Loadings) -> MorphOffset:
-        """Compute the offset of one face from the mean, P l; loadings as in `expand`."""
+        """Compute the offset of one face from the mean, P L; loadings as in `expand`."""
         basis, values = self._checked_loadings(loadings)
         return MorphOffset(basis.expand(values), self.mean.shape, self.mean.reference_id)
 
@@ -489,7 +489,7 @@ def points_document(faceframe: FaceFrame | None) -> dict[str, list[float]] | Non
 
 
 def inner_product(mask: Mask, warp_weight: float) -> AnyArray:
-    """Compute the weights (5 h w,) of the inner product <a, b> = sum mask texture + s^2 sum mask displacement.
+    """Compute the weights (5 h w,) of the inner product: mask for texture, s^2 mask for displacement.
 
     Parameters
     ----------

@@ -2,7 +2,7 @@
 
 Texture and warp have different units, so one inner product of both needs a weight s (colour per px). With a small s
 the components follow the light, with a large s the noise of the flow. The Gram matrix for any s is
-G_texture + s^2 G_warp, so several values cost little more than one.
+K_texture + s^2 K_warp, so several values cost little more than one.
 """
 
 from __future__ import annotations

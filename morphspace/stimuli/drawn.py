@@ -1,4 +1,4 @@
-"""Draw the images of a drawing, frame by frame (Nagle section 2: mean + P l, then the warp of the texture)."""
+"""Draw the images of a drawing, frame by frame (Nagle section 2: mean + P L, then the warp of the texture)."""
 
 from __future__ import annotations
 
