@@ -33,7 +33,7 @@ from morphspace.model.from_clip import ClipSettings, build_clip
 from morphspace.model.loadings import Loadings
 from morphspace.model.model import MorphModel, load_model
 from morphspace.outcome import versions as package_versions
-from morphspace.requests import Workers, field_named, settings_in
+from morphspace.requests import CLIP_OPTIONS, Workers, clip_options, field_named, settings_in
 from morphspace.sets.continuum import GIVEN, continuum_drawings, spaced_series
 from morphspace.sets.mimicry import MimicSettings, drive_of
 from morphspace.settings import WrongSetting, converted, field_of, shown
@@ -108,7 +108,7 @@ def _with_settings(request: type, *names: str) -> Callable[[Callable[..., Result
 @_with_settings(
     BuildModelRequest,
     *("components", "size", "crop", "landmarks", "mask", "reference", "registration"),
-    *("flow", "start", "warp_weight", "work_folder", "identity"),
+    *("flow", "start", "warp_weight", "work_folder", "identity", *CLIP_OPTIONS),
 )
 def build(
     *sources: str | Path | Sequence[str | Path],
@@ -148,7 +148,7 @@ def build(
     MorphModel(Anna, 3 components, 60 x 72 px, ...)
     """
     request = BuildModelRequest(sources=_sources(sources), **settings)
-    clip, asked = open_clip(request.sources), settings_in(request, ClipSettings)
+    clip, asked = open_clip(request.sources, clip_options(request)), settings_in(request, ClipSettings)
     with _work_folder(request.work_folder) as folder:
         return _run(build_clip(clip, asked, Path(folder)), progress, workers)[0].model
 
@@ -177,7 +177,7 @@ def load(path: Path | str) -> MorphModel:
     return load_model(converted(field_named(EncodeRequest, "model"), path))
 
 
-@_with_settings(EncodeRequest, "crop")
+@_with_settings(EncodeRequest, "crop", *CLIP_OPTIONS)
 def encode(
     model: MorphModel,
     *sources: str | Path | Sequence[str | Path],
@@ -216,7 +216,7 @@ def encode(
     """
     _check_models(model=model)
     request = EncodeRequest(model=NOT_WRITTEN, sources=_sources(sources), output=NOT_WRITTEN, **settings)
-    source = framed_for(model, request.sources, request.crop)
+    source = framed_for(model, request.sources, request.crop, clip_options(request))
 
     def steps() -> Steps[Loadings]:
         parts = []
@@ -307,7 +307,7 @@ def mimic(
 @_with_settings(
     BlendAvatarRequest,
     *("weights", "faceframe", "reference", "expressions", "method", "max_sd", "sharpen", "surround"),
-    *("correspondence", "flow", "components", "clips", "landmarks", "identity", "work_folder"),
+    *("correspondence", "flow", "components", "clips", "landmarks", "identity", "work_folder", *CLIP_OPTIONS),
 )
 def blend(
     *models: MorphModel, workers: int | Executor | None = None, progress: bool = False, **settings: Any

@@ -69,10 +69,6 @@ FrameRate = Annotated[
     Option("--frame-rate", metavar="HZ"),
     Help("Frame rate of a video, Hz."),
 ]
-Deinterlace = Annotated[
-    bool,
-    Help("Make whole frames of an interlaced video with FFmpeg's bwdif; without it such a video is refused."),
-]
 Frames = Annotated[
     tuple[str, ...],
     Option("--frame", metavar="NAME"),
@@ -142,6 +138,21 @@ def declared(request: type[Request]) -> type[Request]:
     return dataclass(frozen=True)(request)
 
 
+@typing.dataclass_transform(frozen_default=True)
+def declared_with(group: type) -> Callable[[type[Request]], type[Request]]:
+    """Declare a request that also has the settings of a group, after its own; `settings_in` gives the group again."""
+
+    def decorated(request: type[Request]) -> type[Request]:
+        for field in dataclasses.fields(group):
+            request.__annotations__[field.name] = typing.get_type_hints(group, include_extras=True)[
+                field.name
+            ]
+            setattr(request, field.name, field.default)
+        return declared(request)
+
+    return decorated
+
+
 def _convert(request: Any) -> None:
     kind: type = type(request)
     for field in fields_of(kind):
@@ -199,6 +210,50 @@ def check_rate(rate_hz: float, what: str) -> float:
             f"{what} is {rate_hz:g} Hz; expected {LEAST_RATE_HZ:g} to {MOST_RATE_HZ:g}. Give the true rate"
         )
     return rate_hz
+
+
+# How clips are read.
+
+
+@declared
+class ClipOptions:
+    """How a verb reads its clips: the settings that all verbs with clips share."""
+
+    deinterlace: Annotated[
+        bool,
+        Help("Make whole frames of interlaced video with FFmpeg's bwdif; without it such video is refused."),
+    ] = False
+    person: Annotated[
+        Literal["largest", "left", "right"] | Place | None,
+        Option(metavar="largest|left|right|X,Y"),
+        Help(
+            "Which face is used if frames show several; X,Y is a place in the frames, px [default: the largest, or "
+            "as in the build of the model that reads them]."
+        ),
+    ] = None
+    frame_rate_hz: Annotated[
+        RateHz | None,
+        Option("--frame-rate", metavar="HZ"),
+        Help("Frame rate of a clip or table, Hz; its times are stretched to it [default: its own]."),
+    ] = None
+
+
+AS_IT_IS = ClipOptions()
+"""A clip is read without any option."""
+
+CLIP_OPTIONS = tuple(field.name for field in fields_of(ClipOptions))
+
+
+def clip_options(request: Any) -> ClipOptions:
+    """Return the options of clips in a request; the defaults if it has none."""
+    return settings_in(request, ClipOptions)
+
+
+def check_no_options(options: ClipOptions, why: str, *but: str) -> None:
+    """Refuse options, except those named in `but`, where no clip is read, which `why` explains. Raises `BadInput`."""
+    for field in fields_of(ClipOptions):
+        if field.name not in but and getattr(options, field.name) != field.default:
+            raise BadInput(f"{field.spoken} applies to clips, but {why}. Leave it out")
 
 
 # Records of requests.

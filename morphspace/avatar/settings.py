@@ -15,7 +15,7 @@ from morphspace.face.detector import Detector, detector_for
 from morphspace.model.keypoints import lip_of, required_faceframe
 from morphspace.model.model import MorphModel
 from morphspace.outcome import versions
-from morphspace.requests import settings_in
+from morphspace.requests import check_no_options, clip_options, settings_in
 from morphspace.transfer.mimicry import METHODS, Method
 
 AUTO = "auto"
@@ -195,11 +195,14 @@ def method_of(asked: str, models: Sequence[MorphModel]) -> Method:
 def blend_settings(request: Any, models: Sequence[MorphModel]) -> tuple[AvatarSettings, tuple[str, ...]]:
     """Open the detector and the clips of a request of `blend-avatar`; return its settings, and notes."""
     detector, missing = detector_for(request.landmarks)
+    options = clip_options(request)
+    if request.clips is None:
+        check_no_options(options, "no clips are given (--clips)")
     settings = settings_in(
         request,
         AvatarSettings,
         detector=detector,
-        clips=None if request.clips is None else opened_clips(request.clips, models),
+        clips=None if request.clips is None else opened_clips(request.clips, models, options),
         provenance={"identity": request.identity, "versions": versions()},
     )
     return settings, (NO_FINDER,) if missing else ()

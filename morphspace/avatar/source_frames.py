@@ -11,10 +11,12 @@ from dataclasses import dataclass
 from typing import Protocol
 
 from morphspace.errors import BadInput
+from morphspace.face.detector import Person
 from morphspace.io.framing import FramedClip, FrameSource
 from morphspace.model.encode import framed_for
 from morphspace.model.model import MorphModel
 from morphspace.model.morph import Morph, morph_of
+from morphspace.requests import AS_IT_IS, ClipOptions
 
 
 class Clip(FrameSource, Protocol):
@@ -23,6 +25,11 @@ class Clip(FrameSource, Protocol):
     @property
     def file_digests(self) -> tuple[str, ...]:
         """The SHA-256 of each frame's file."""
+        ...
+
+    @property
+    def person(self) -> Person | None:
+        """The face to be used if frames show several (`FramedClip.person`)."""
         ...
 
 
@@ -48,8 +55,8 @@ class Originals:
 
     @property
     def identity(self) -> str:
-        """A digest of what the morphs depend on beside the model."""
-        return self.model.reading
+        """What the morphs depend on beside the model."""
+        return self.model.reading if self.model.person is None else f"face {self.model.person}"
 
 
 def originals_of(models: Sequence[MorphModel], clips: Sequence[Clip] | None) -> list[Originals | None]:
@@ -60,10 +67,12 @@ def originals_of(models: Sequence[MorphModel], clips: Sequence[Clip] | None) -> 
     return [_checked(model, clip) for model, clip in zip(models, clips, strict=True)]
 
 
-def opened_clips(given: Sequence[str], models: Sequence[MorphModel]) -> list[FramedClip]:
+def opened_clips(
+    given: Sequence[str], models: Sequence[MorphModel], options: ClipOptions = AS_IT_IS
+) -> list[FramedClip]:
     """Open the clips from which the models were built. Raises `BadInput` unless there is one for each."""
     check_clips(len(given), len(models))
-    return [framed_for(model, (clip,), None) for model, clip in zip(models, given, strict=True)]
+    return [framed_for(model, (clip,), None, options) for model, clip in zip(models, given, strict=True)]
 
 
 def check_clips(clips: int, models: int) -> None:
@@ -93,4 +102,4 @@ def _checked(model: MorphModel, clip: Clip) -> Originals:
                 f"built from ({str(inputs.get(name))[:12]}...). Give the clip it was built from"
             )
         places.append(place)
-    return Originals(model, clip, tuple(places))
+    return Originals(model.for_person(clip.person), clip, tuple(places))

@@ -23,7 +23,7 @@ import numpy as np
 
 from morphspace.arrays import Affine, AnyArray, Displacement, Image, Points
 from morphspace.errors import BadInput
-from morphspace.face.detector import Detector, load_detector, person_of
+from morphspace.face.detector import Detector, Person, load_detector, person_of
 from morphspace.face.mesh import (
     FACE_OUTLINE,
     LEFT_BROW,
@@ -60,10 +60,14 @@ ONE_PLACE_PX = 1.0  # px; nearer points are merged, such as those of closed lips
 
 @dataclass(frozen=True, eq=False)
 class FaceAnchor:
-    """The face to which frames are anchored: the `detector`, and the `face` that it found in the reference."""
+    """The face to which frames are anchored: the `detector`, and the `face` that it found in the reference.
+
+    `detector_of_aligned` searches aligned frames; None for the same detector.
+    """
 
     detector: Detector
     face: FacePoints
+    detector_of_aligned: Detector | None = None
 
     def movement(self, image: Image, found: FacePoints | None = None) -> Affine | None:
         """Compute the start of an image's registration, (2, 3), or None if the image shows no face.
@@ -79,9 +83,10 @@ class FaceAnchor:
         A frame without a detected face, or with a start of its own, goes to `find` unchanged.
         """
         through = spline_from(self.face.points[list(HELD)], height, width)
+        detector = self.detector_of_aligned or self.detector
 
         def to_frame(frame: Image, start: Displacement | None = None) -> Flow:
-            found = self.detector(frame) if start is None else None
+            found = detector(frame) if start is None else None
             if found is None:
                 return find(frame, start)
             spline = unfolded(through(found.points[list(HELD)]))  # points of a turned head may change sides
@@ -108,10 +113,13 @@ def anchor_on(reference: Image, detector: Detector) -> FaceAnchor | None:
     return None if face is None else FaceAnchor(detector, face)
 
 
-def anchor_of_build(reference: Image, provenance: Mapping[str, Any]) -> FaceAnchor | None:
+def anchor_of_build(
+    reference: Image, provenance: Mapping[str, Any], person: Person | None = None
+) -> FaceAnchor | None:
     """Detect again the face that a model's build found in its reference (h, w, 3).
 
-    It starts the registration of every frame, and anchors the flow if `was_anchored`.
+    It starts the registration of every frame, and anchors the flow if `was_anchored`. `person` is the face that is
+    searched in frames; None for the choice of the build. In an aligned frame it lies where the reference has its own.
 
     Returns
     -------
@@ -136,7 +144,10 @@ def anchor_of_build(reference: Image, provenance: Mapping[str, Any]) -> FaceAnch
             "the detector finds no face in the reference, where the build found one. Build the model again with this "
             "morphspace"
         )
-    return anchor
+    if person is None:
+        return anchor
+    x, y = map(float, anchor.face.points.mean(axis=0))
+    return FaceAnchor(load_detector(person=person), anchor.face, load_detector(person=(x, y)))
 
 
 def was_anchored(provenance: Mapping[str, Any]) -> bool:

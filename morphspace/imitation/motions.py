@@ -26,6 +26,7 @@ from morphspace.linear.posterior import Posterior
 from morphspace.model.encode import STRANGE, encoded_frames, energy_outside, framed_for, notes_on_frames
 from morphspace.model.keypoints import region_of
 from morphspace.model.model import MorphModel, inner_product
+from morphspace.requests import AS_IT_IS, ClipOptions
 from morphspace.steps import Step, Steps, in_order
 from morphspace.stimuli.table_checks import check_reach
 from morphspace.storage import digest_of_file
@@ -103,7 +104,12 @@ def part_of(model: MorphModel, share: Mask | None) -> Posterior | None:
 
 
 def opened(
-    role: str, given: str, model: MorphModel, notes: list[str], imitator: Imitator | None = None
+    role: str,
+    given: str,
+    model: MorphModel,
+    notes: list[str],
+    imitator: Imitator | None = None,
+    options: ClipOptions = AS_IT_IS,
 ) -> Motion:
     """Open a clip or read a table (.csv). The loadings of a clip are 0 until `measured` encodes them.
 
@@ -118,6 +124,8 @@ def opened(
         Notes are appended.
     imitator : Imitator or None
         If set, its model encodes the clip or encoded the table.
+    options : ClipOptions
+        How the clip is read; the frame rate is also that of a table.
 
     Raises
     ------
@@ -128,9 +136,9 @@ def opened(
     """
     read_in = imitator.model if imitator else model
     if Path(given).suffix.lower() == ".csv":
-        source = _table(Path(given), read_in, model, notes)
+        source = _at_rate(_table(Path(given), read_in, model, notes), options.frame_rate_hz)
     else:
-        clip = framed_for(read_in, (given,), None)
+        clip = framed_for(read_in, (given,), None, options)
         notes += notes_on_frames(clip, read_in.identity, f"frames of the {role}")
         inputs = dict(zip(clip.names, clip.file_digests, strict=True))
         rate_hz = clip.clip.sidecar.frame_rate_hz
@@ -147,6 +155,16 @@ def opened(
         )
     # The transfer gives all of the stimulus' components, however many the imitator's table has.
     return replace(source, components=model.rank, imitator=imitator) if imitator else source
+
+
+def _at_rate(table: Motion, rate_hz: float | None) -> Motion:
+    """Give a table this rate, to which its times are stretched; None leaves them as they are."""
+    if rate_hz is None:
+        return table
+    times_s = (
+        None if table.times_s is None or table.rate_hz is None else table.times_s * (table.rate_hz / rate_hz)
+    )
+    return replace(table, rate_hz=rate_hz, times_s=times_s)
 
 
 def _table(path: Path, model: MorphModel, stimulus: MorphModel, notes: list[str]) -> Motion:
@@ -245,6 +263,7 @@ def _read(
         for encoded in encoded_frames(model, clip):
             yield encoded.loadings.values[0], energy_outside(encoded.morph - model.mean, model)
         return
+    model = model.for_person(clip.person)
     flow = model.flow_from_reference  # prepared once, and not by each thread
 
     def project(item: tuple[str, Image]) -> tuple[LoadingVector, float]:

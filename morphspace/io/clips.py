@@ -13,13 +13,14 @@ from collections import Counter
 from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Literal
 
 from morphspace.arrays import Image
 from morphspace.errors import BadInput, SizeMismatch, UnreadableFile
 from morphspace.io.images import animation_frames, image_size, read_image
 from morphspace.io.names import check_frame_name, check_link, check_name, composed
 from morphspace.io.sidecars import Sidecar, read_sidecar
-from morphspace.requests import LEAST_RATE_HZ, MOST_RATE_HZ
+from morphspace.requests import AS_IT_IS, LEAST_RATE_HZ, MOST_RATE_HZ, ClipOptions
 from morphspace.storage import digest_of_bytes, digest_of_file
 
 IMAGE_SUFFIXES = (".png", ".tif", ".tiff", ".jpg", ".jpeg", ".exr", ".bmp", ".webp", ".avif", ".jxl")
@@ -100,6 +101,8 @@ class Clip:
         Pictures that were passed over, others of which only a part is used, and changes that reading makes.
     is_deinterlaced : bool
         Whether the two fields of interlaced frames are made into whole frames.
+    person : "largest", "left", "right", (x, y) px, or None
+        The face to be used if frames show several; None for the default.
     """
 
     name: str
@@ -111,6 +114,7 @@ class Clip:
     times_s: tuple[float, ...] | None = None
     notes: tuple[str, ...] = ()
     is_deinterlaced: bool = False
+    person: Literal["largest", "left", "right"] | tuple[float, float] | None = None
 
     def __len__(self) -> int:
         return len(self.frame_names)
@@ -192,7 +196,7 @@ def natural_key(name: str) -> tuple[tuple[tuple[int, int, str], ...], str]:
     ), name
 
 
-def open_clip(sources: Sequence[str | Path], *, deinterlace: bool = False) -> Clip:
+def open_clip(sources: Sequence[str | Path], options: ClipOptions = AS_IT_IS) -> Clip:
     """Open one folder, one glob pattern, one video or several image files as a clip, in natural order of names.
 
     Parameters
@@ -201,8 +205,8 @@ def open_clip(sources: Sequence[str | Path], *, deinterlace: bool = False) -> Cl
         A folder gives its images, or those of its folder `frames`; hidden files and other file types are ignored.
         Pictures of types that are not read are counted in `notes`. Files from several folders are prefixed with the
         folder's name if their names clash.
-    deinterlace : bool
-        Whether the fields of an interlaced video are made into whole frames; its sidecar can ask for it too.
+    options : ClipOptions
+        Its frame rate replaces that of the sidecar and the file. The sidecar can ask for deinterlacing too.
 
     Returns
     -------
@@ -237,7 +241,7 @@ def open_clip(sources: Sequence[str | Path], *, deinterlace: bool = False) -> Cl
         found += files
         over += others
     if len(found) == 1 and found[0].is_dir():
-        return _clip_of_folder(found[0])
+        return replace(_clip_of_folder(found[0], options), person=options.person)
     folders = [path for path in found if path.is_dir()]
     if folders:
         raise BadInput(
@@ -251,8 +255,8 @@ def open_clip(sources: Sequence[str | Path], *, deinterlace: bool = False) -> Cl
                 f"the clip has {len(found)} files, one of them the video {videos[0]}; expected one video or several "
                 "images. Select one"
             )
-        return _clip_of_video(found[0], deinterlace)
-    return _clip_of_files(found, None, over)
+        return replace(_clip_of_video(found[0], options), person=options.person)
+    return replace(_clip_of_files(found, None, over, options), person=options.person)
 
 
 def _expand(source: str) -> tuple[list[Path], list[Path]]:
@@ -299,14 +303,14 @@ def _other_remedy(over: Sequence[Path]) -> str:
     return f"Convert the {listed} pictures to PNG or JPEG" if over else "Check the name"
 
 
-def _clip_of_folder(folder: Path) -> Clip:
+def _clip_of_folder(folder: Path, options: ClipOptions) -> Clip:
     over: list[Path] = []
     for place in (folder, folder / FRAMES_FOLDER):
         files = _files_in(place)
         images = [path for path in files if _is_kind(path, IMAGE_SUFFIXES)]
         over += [path for path in files if _is_kind(path, OTHER_PICTURES)]
         if images:
-            return _clip_of_files(images, place, over)
+            return _clip_of_files(images, place, over, options)
     videos = sum(_is_kind(path, VIDEO_SUFFIXES) for path in folder.iterdir())
     remedy = f"It holds {videos} video(s): enter the name of one" if videos else _other_remedy(over)
     raise BadInput(
@@ -322,7 +326,9 @@ def _files_in(folder: Path) -> list[Path]:
         raise UnreadableFile(f"cannot read {folder}: {error.strerror}. Check the permissions") from error
 
 
-def _clip_of_files(files: Sequence[Path], folder: Path | None, over: Sequence[Path]) -> Clip:
+def _clip_of_files(
+    files: Sequence[Path], folder: Path | None, over: Sequence[Path], options: ClipOptions
+) -> Clip:
     for path in files:
         check_frame_name(path)
     paths = sorted(files, key=lambda path: natural_key(composed(path.as_posix())))
@@ -335,9 +341,12 @@ def _clip_of_files(files: Sequence[Path], folder: Path | None, over: Sequence[Pa
     home = folder or (paths[0].parent if len(parents) == 1 else None)
     name = _name_of(home or Path(os.path.commonpath(parents)))
     size = _common_size(paths)
-    return Clip(
-        name, _unique_names(paths), size, _sidecar_of(home), tuple(paths), notes=_notes_on(paths, over)
-    )
+    sidecar = _with_rate(_sidecar_of(home), options.frame_rate_hz)
+    return Clip(name, _unique_names(paths), size, sidecar, tuple(paths), notes=_notes_on(paths, over))
+
+
+def _with_rate(sidecar: Sidecar, rate_hz: float | None) -> Sidecar:
+    return sidecar if rate_hz is None else replace(sidecar, frame_rate_hz=rate_hz)
 
 
 def _place_of(path: Path) -> Path:
@@ -360,25 +369,25 @@ def _notes_on(paths: Sequence[Path], over: Sequence[Path]) -> tuple[str, ...]:
     return tuple(notes)
 
 
-def _clip_of_video(path: Path, deinterlace: bool) -> Clip:
+def _clip_of_video(path: Path, options: ClipOptions) -> Clip:
     from morphspace.io.video import video_info  # loads libav, which stills do not need
 
     check_frame_name(path)
     info = video_info(path)
     beside = path.with_suffix("." + SIDECAR_NAME)
     sidecar = read_sidecar(beside) if beside.is_file() else Sidecar()
-    deinterlace = deinterlace or bool(sidecar.deinterlace)
-    if info.interlaced and not deinterlace:
+    sidecar = _with_rate(sidecar, options.frame_rate_hz)
+    if info.interlaced and not (options.deinterlace or sidecar.deinterlace):
         raise BadInput(
             f"{path} is interlaced ({info.interlaced} of {info.frame_count} frames); expected whole frames. "
-            f'Write "deinterlace": true into {beside.name}, or give --deinterlace to a verb that has it'
+            f'Give --deinterlace, or write "deinterlace": true into {beside.name}'
         )
     times_s = info.times_s
     if sidecar.frame_rate_hz is None and info.frame_rate_hz:
         if not LEAST_RATE_HZ <= info.frame_rate_hz <= MOST_RATE_HZ:
             raise BadInput(
                 f"the frame rate of {path} is {info.frame_rate_hz:g} Hz; expected {LEAST_RATE_HZ:g} to "
-                f"{MOST_RATE_HZ:g}. Write the true frame_rate_hz into {beside.name}"
+                f"{MOST_RATE_HZ:g}. Give the true one with --frame-rate, or as frame_rate_hz in {beside.name}"
             )
         sidecar = replace(sidecar, frame_rate_hz=info.frame_rate_hz)
     elif sidecar.frame_rate_hz and info.frame_rate_hz and times_s:

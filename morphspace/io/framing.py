@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Protocol
+from typing import Any, Literal, Protocol
 
 import cv2
 import numpy as np
@@ -135,10 +135,20 @@ class FramedClip:
         """The SHA-256 of each frame's source file."""
         return self.clip.digests()
 
+    @property
+    def person(self) -> Literal["largest", "left", "right"] | tuple[float, float] | None:
+        """The face to be used if frames show several; a place is px of the framed image."""
+        person = self.clip.person
+        if person is None or isinstance(person, str):
+            return person
+        (x, y), (shift_x, shift_y) = person, self.to_source[:, 2]
+        return (x - shift_x) / self.to_source[0, 0], (y - shift_y) / self.to_source[1, 1]
+
     @cached_property
     def digests(self) -> tuple[str, ...]:
-        """One digest per frame, of its source file and the framing."""
-        framing = [self.framing.source_size, self.framing.box, self.framing.size]
+        """One digest per frame, of its source file, the framing, and the face that is used."""
+        framing: list[Any] = [self.framing.source_size, self.framing.box, self.framing.size]
+        framing += [] if self.person is None else [self.person]
         return tuple(digest_of_json([digest, framing]) for digest in self.file_digests)
 
     def images(self, indices: list[int]) -> Iterator[Image]:

@@ -70,6 +70,8 @@ class PlacingDocument(TypedDict):
     digests: list[Digest]
     registrations: list[Registration]
     sources: list[str]
+    deinterlace: bool
+    frame_rate_hz: OrNull[FrameRate]
 
 
 class DrawingDocument(TypedDict):

@@ -16,6 +16,7 @@ from morphspace.io.stimulus_sidecars import essentials_in
 from morphspace.model.loadings import Loadings
 from morphspace.model.model import MorphModel
 from morphspace.model.morph import Morph, MorphOffset
+from morphspace.requests import AS_IT_IS, ClipOptions
 from morphspace.steps import in_order
 
 # Times. Two real clips were reduced and encoded by models of 200 px width. Their first ten loadings correlated with
@@ -69,8 +70,7 @@ def framed_for(
     model: MorphModel,
     sources: tuple[str, ...],
     crop: tuple[int, int, int, int] | None,
-    *,
-    deinterlace: bool = False,
+    options: ClipOptions = AS_IT_IS,
 ) -> FramedClip:
     """Open a clip for a model: scaled to its frame size, and cropped like the build's frames if their size is equal.
 
@@ -80,15 +80,15 @@ def framed_for(
     sources : tuple of str
         Files or folders of the clip.
     crop : (x, y, w, h) px, optional
-    deinterlace : bool
+    options : ClipOptions
         As in `open_clip`.
 
     Raises
     ------
     BadInput
-        If the pictures are too small for a face to be measured.
+        If the pictures are too small for a face to be measured, or as `MorphModel.for_person` raises it.
     """
-    clip = open_clip(sources, deinterlace=deinterlace)
+    clip = open_clip(sources, options)
     built = model.provenance["framing"]
     if crop is None and list(clip.size) == built["source_size"] and built["crop"] is not None:
         x, y, w, h = built["crop"]
@@ -100,7 +100,9 @@ def framed_for(
             f"pictures in {clip.name} are {width}x{height} px; expected at least {MIN_SIDE_PX} px a side, to measure a "
             f"face for frames of {model.identity} at {model.size[0]}x{model.size[1]}. Give larger pictures"
         )
-    return FramedClip(clip, framing)
+    framed = FramedClip(clip, framing)
+    model.for_person(framed.person)
+    return framed
 
 
 def notes_on_framing(framing: Framing, identity: str, what: str = "frames") -> tuple[str, ...]:
@@ -177,6 +179,7 @@ def encoded_frames(
     Stimuli that the model itself rendered lie on its reference and are not aligned: registration would take a strong
     expression for head movement. `own` marks them; None looks them up with `drawn_by`.
     """
+    model = model.for_person(source.person)
     flow = model.flow_from_reference  # prepared once, before the threads start
     own = drawn_by(model, source) if own is None else own
 

@@ -11,7 +11,7 @@ import numpy as np
 from morphspace.arrays import Mask
 from morphspace.errors import BadInput
 from morphspace.face.crop import FoundCrop, crop_steps
-from morphspace.face.detector import Landmarks, Person, detector_for, load_detector
+from morphspace.face.detector import Landmarks, detector_for, load_detector
 from morphspace.face.faceframe import FaceFrame, RegistrationKind
 from morphspace.flow import methods
 from morphspace.flow.starts import StartKind
@@ -53,8 +53,6 @@ class ClipSettings:
     landmarks : {"auto", "anchor", "none"}
         "auto" finds the face in every frame if the detector's networks are installed. "anchor" also anchors the flow
         to the face points. "none" runs no detector.
-    person : {"largest", "left", "right"} or (x, y) px
-        Which face is used if frames show several; x, y in the clip's pictures.
     mask : Path, optional
         A grey picture of the reference's size, white inside the face.
     reference : str, optional
@@ -79,7 +77,6 @@ class ClipSettings:
     size: tuple[int, int] | None = None
     crop: Crop | None = None
     landmarks: Landmarks = "auto"
-    person: Person = "largest"
     mask: Path | None = None
     reference: str | None = None
     registration: RegistrationKind = "similarity"
@@ -121,7 +118,14 @@ def build_clip(clip: Clip, asked: ClipSettings, work_folder: Path) -> Steps[tupl
     MissingModels
         If the settings need the detector and its networks are not installed.
     """
-    detector, missing = detector_for(asked.landmarks, asked.person)
+    if clip.person is not None and asked.landmarks == "none":
+        raise BadInput(
+            "--person selects a face, but landmarks is none: no face is detected. Leave one of them out"
+        )
+    person = clip.person or "largest"
+    detector, missing = detector_for(asked.landmarks, person)
+    if clip.person is not None:
+        detector, missing = load_detector(person=person), ()
     notes = [*clip.notes, *missing]
     rate_hz = clip.sidecar.frame_rate_hz
     if clip.times_s is not None and rate_hz is not None and not is_even(clip.times_s, rate_hz):
@@ -130,17 +134,14 @@ def build_clip(clip: Clip, asked: ClipSettings, work_folder: Path) -> Steps[tupl
     crop, found_crop = asked.crop, None
     if crop == "auto":
         width, height = asked.size or DEFAULT_SIZE
-        found_crop = yield from crop_steps(
-            clip, detector or load_detector(person=asked.person), width / height
-        )
+        found_crop = yield from crop_steps(clip, detector or load_detector(person=person), width / height)
         crop = found_crop.box
         notes += found_crop.notes
     framing = Framing(clip.size, crop, asked.size or default_size(clip, crop))
     source = FramedClip(clip, framing)
     notes += size_notes(framing, asked)
-    if detector is not None and not isinstance(asked.person, str):
-        ((x, y),) = apply_affine(inverse_affine(source.to_source), np.array([asked.person])).tolist()
-        detector = load_detector(person=(x, y))
+    if detector is not None and source.person is not None:
+        detector = load_detector(person=source.person)
     mask, mask_digest = _mask(asked.mask, framing, clip.size)
     faceframe, faceframe_index, faceframe_notes = marked_faceframe(clip, framing)
     notes += faceframe_notes

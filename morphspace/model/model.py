@@ -25,7 +25,7 @@ from morphspace.arrays import (
 )
 from morphspace.errors import BadInput, UnwritableFile
 from morphspace.face.anchor import FaceAnchor, anchor_of_build, was_anchored
-from morphspace.face.detector import MissingModels
+from morphspace.face.detector import MissingModels, Person
 from morphspace.face.faceframe import FaceFrame, Frame, RegistrationKind, aligned
 from morphspace.face.mesh import FacePoints
 from morphspace.face.regions import rigid_region
@@ -89,6 +89,8 @@ class MorphModel:
     reading : {"as built", "flow alone"}
         How pictures are aligned and encoded: with the face points that the build used, or without any
         (`by_flow_alone`).
+    person : {"largest", "left", "right"}, (x, y) px, or None
+        Which face of a picture is read if it shows several (`for_person`); None for the choice of the build.
 
     Raises
     ------
@@ -115,6 +117,7 @@ class MorphModel:
     provenance: Mapping[str, Any]
     landmarks: LandmarkRegression | None = None
     reading: Literal["as built", "flow alone"] = "as built"
+    person: Person | None = None
 
     def __post_init__(self) -> None:
         if self.training.unit != "raw":
@@ -200,7 +203,7 @@ class MorphModel:
         ):
             return None
         try:
-            return anchor_of_build(self.reference, self.provenance)
+            return anchor_of_build(self.reference, self.provenance, self.person)
         except MissingModels as error:
             raise MissingModels(
                 f"{self.identity} was built with face points and reads pictures with them; {error}"
@@ -213,6 +216,19 @@ class MorphModel:
         exact.
         """
         return replace(self, reading="flow alone")
+
+    def for_person(self, person: Person | None) -> MorphModel:
+        """Return a model that reads this face of pictures that show several; None for the choice of the build.
+
+        Raises `BadInput` if the model reads pictures without face points.
+        """
+        chosen = self if person is None else replace(self, person=person)
+        if person is not None and chosen.anchor is None:
+            raise BadInput(
+                f"--person selects a face, but {self.identity} was built without face points. Crop the frames to the "
+                "face, or build the model again after `morphspace models fetch`"
+            )
+        return chosen
 
     @cached_property
     def _head(self) -> Registration:

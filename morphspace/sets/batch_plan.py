@@ -21,7 +21,7 @@ from morphspace.io.recipe.grammar import Job, Recipe
 from morphspace.io.recipe.placeholders import filled
 from morphspace.model.model import MorphModel, load_model
 from morphspace.outcome import versions
-from morphspace.requests import Verb, request_document, request_from, verb_named
+from morphspace.requests import ClipOptions, Verb, clip_options, request_document, request_from, verb_named
 from morphspace.sets.folders import FolderJob
 from morphspace.sets.manifest import FIRST_COLUMNS, LAST_COLUMNS, Column
 from morphspace.sets.plan import PlannedSet, check_kept_model, check_names
@@ -291,7 +291,7 @@ def _folder_job(job: Job, verb: Verb, recipe: Recipe, folder: Path, book: _Book)
     if verb.check is not None:
         verb.check(request)
     digests = {
-        setting: _digest(getattr(request, setting))
+        setting: _digest(getattr(request, setting), clip_options(request))
         for setting in verb.files
         if getattr(request, setting) is not None
     }
@@ -299,10 +299,10 @@ def _folder_job(job: Job, verb: Verb, recipe: Recipe, folder: Path, book: _Book)
     return FolderJob(name, job.verb, request, portable, job.levels, made_from)
 
 
-def _digest(given: str) -> Any:
+def _digest(given: str, options: ClipOptions) -> Any:
     """Return the digest of a file, or of the frames of a clip."""
     path = Path(given)
-    return digest_of_file(path) if path.is_file() else list(open_clip([given]).digests())
+    return digest_of_file(path) if path.is_file() else list(open_clip([given], options).digests())
 
 
 def _check_folders(folders: Sequence[FolderJob], book: _Book) -> None:

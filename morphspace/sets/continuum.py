@@ -22,6 +22,7 @@ from morphspace.io.tables import read_loadings_table
 from morphspace.model.encode import STRANGE, encoded_frames, energy_outside, framed_for
 from morphspace.model.model import MorphModel, load_model
 from morphspace.outcome import versions
+from morphspace.requests import AS_IT_IS, ClipOptions, check_no_options
 from morphspace.sets.kept import digest_of_kept
 from morphspace.sets.manifest import Column
 from morphspace.sets.sources import LISTED, file_names
@@ -64,6 +65,7 @@ def continuum_ends(
     model_path: Path | None = None,
     crop: tuple[int, int, int, int] | None = None,
     model: MorphModel | None = None,
+    options: ClipOptions = AS_IT_IS,
 ) -> Steps[ContinuumEnds]:
     """Read the two ends of a continuum: two models, or two pictures or table rows of one model.
 
@@ -77,6 +79,8 @@ def continuum_ends(
         (x, y, w, h) px, cut out of pictures first.
     model
         The model of `model_path` if it is open already.
+    options
+        How pictures are read.
 
     Raises
     ------
@@ -93,19 +97,22 @@ def continuum_ends(
             )
         if crop is not None:
             raise BadInput("a crop applies to pictures, but the ends are models. Leave it out")
+        check_no_options(options, "the ends are models")
         return (yield from _ends_of_pair((Path(first), Path(last)), folder))
     if models:
         raise BadInput(
             f"{models[0]} is a model, and --model is {model_path}. Leave out --model for two models, or give "
             "pictures or rows TABLE.csv:FRAME"
         )
+    if all(map(TABLE_ROW.fullmatch, given)):
+        check_no_options(options, "the ends are rows of tables")
     model = model or load_model(model_path)
     loadings: list[LoadingVector] = []
     inputs: dict[str, str] = {}
     notes: list[str] = []
     for role, end in zip(("first", "last"), given, strict=True):
         row = TABLE_ROW.fullmatch(end)
-        found = _of_row(model, Path(row[1]), row[2]) if row else _of_picture(model, end, crop)
+        found = _of_row(model, Path(row[1]), row[2]) if row else _of_picture(model, end, crop, options)
         loadings.append(found[0])
         inputs[role] = found[1]
         notes += found[2]
@@ -135,12 +142,12 @@ def _of_row(model: MorphModel, path: Path, frame: str) -> tuple[LoadingVector, s
 
 
 def _of_picture(
-    model: MorphModel, path: str, crop: tuple[int, int, int, int] | None
+    model: MorphModel, path: str, crop: tuple[int, int, int, int] | None, options: ClipOptions
 ) -> tuple[LoadingVector, str, tuple[str, ...]]:
     """Return the loadings (k,) of a picture, its digest, and notes."""
     if path.lower().endswith(".csv"):
         raise BadInput(f"{path} is a table. Name one of its frames: {path}:FRAME")
-    source = framed_for(model, (path,), crop)
+    source = framed_for(model, (path,), crop, options)
     if len(source.names) != 1:
         raise BadInput(f"{path} has {len(source.names)} frames; expected one. Give one picture")
     (encoded,) = encoded_frames(model, source)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 
 import numpy as np
@@ -39,6 +39,7 @@ from morphspace.outcome import RECORD_NAME, versions, write_record
 from morphspace.report.advice.imitation import chance_words, mean_apart, size_words, strange_words
 from morphspace.report.imitation_page import MeasuredImitation, imitation_page
 from morphspace.report.pictures import panels_of
+from morphspace.requests import AS_IT_IS, ClipOptions, check_no_options
 from morphspace.sets.mimicry import VIDEO_NAME
 from morphspace.sets.sources import FRAME_RATE_HZ
 from morphspace.steps import Step, Steps, in_order
@@ -87,6 +88,8 @@ class MeasureSettings:
         The same part by name.
     imitator
         Model of the imitating person if that is another person.
+    options
+        How both sequences are read.
     """
 
     components: int | None
@@ -95,6 +98,7 @@ class MeasureSettings:
     mask: Path | None
     region: str
     imitator: Path | None
+    options: ClipOptions = AS_IT_IS
 
 
 @dataclass(frozen=True, eq=False)
@@ -129,9 +133,11 @@ def written_imitation(
     imitator = None if asked.imitator is None else imitator_of(asked.imitator, model, share_seen)
     notes: list[str] = []
     sources = [
-        opened("stimulus", stimulus_source, model, notes),
-        opened("imitation", imitation_source, model, notes, imitator),
+        opened("stimulus", stimulus_source, model, notes, options=asked.options),
+        opened("imitation", imitation_source, model, notes, imitator, asked.options),
     ]
+    if all(source.clip is None for source in sources):
+        check_no_options(asked.options, "both motions are tables", "frame_rate_hz")
     known = min(source.components for source in sources)
     what = model.identity if known == model.rank else "a table"
     k, rank_notes = components_used(asked.components, known, what)
@@ -233,7 +239,7 @@ def written_imitation(
     for role, source in (("stimulus", stimulus), ("imitation", imitation)):
         inputs |= {f"{role}/{name}": digest for name, digest in source.inputs.items()}
     written.append(page)
-    written.append(write_record(folder, VERB, settings, inputs, written))
+    written.append(write_record(folder, VERB, {**settings, **asdict(asked.options)}, inputs, written))
     return WrittenImitation(comparison, {"no_face": faceless, **entries}, still, tuple(notes), tuple(written))
 
 

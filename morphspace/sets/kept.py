@@ -71,7 +71,7 @@ def encoded_clip(model: MorphModel, source: FramedClip) -> Steps[Encoded]:
 
 def aligned_clip(model: MorphModel, source: FramedClip) -> Steps[AnyArray]:
     """Return the positions of the faces in their frames, (n, 2, 3), without encoding their expressions."""
-    registrations: list[AnyArray] = []
+    model, registrations = model.for_person(source.person), list[AnyArray]()
     indices = list(range(len(source.names)))
     items = zip(source.names, source.images(indices), strict=True)
     for frame in in_order(lambda item: model.align(item[1], item[0]), items):

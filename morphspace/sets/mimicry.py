@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Generator, Iterator, Mapping, Sequence
 from contextlib import closing
-from dataclasses import dataclass, fields
+from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 from typing import Any, Literal, cast
 
@@ -17,8 +17,9 @@ import numpy as np
 
 from morphspace import cache
 from morphspace.arrays import AnyArray, Image
-from morphspace.face.detector import Detector
+from morphspace.face.detector import Detector, load_detector
 from morphspace.face.mesh import FacePoints
+from morphspace.io.clips import Clip, open_clip
 from morphspace.io.clock import is_even, uneven_words
 from morphspace.io.images import picture_names, read_image, write_image
 from morphspace.io.tables import write_loadings_table
@@ -31,8 +32,10 @@ from morphspace.report.advice import mimicry as advice
 from morphspace.report.mimic_page import PAIRS_SHOWN, MimicryResult, mimic_page
 from morphspace.report.pictures import of_width, panels_of
 from morphspace.report.set_page import CLIPPED_PERCENT
-from morphspace.sets.models import check_landmarks
+from morphspace.requests import AS_IT_IS, ClipOptions, check_no_options, clip_options, settings_in
+from morphspace.sets.models import MODELS_FOLDER, check_faces, check_landmarks, opened_model
 from morphspace.sets.outputs import Output, check_apart, check_inputs
+from morphspace.sets.protect import check_origins
 from morphspace.sets.sources import FRAME_RATE_HZ
 from morphspace.steps import Step, Steps, in_order
 from morphspace.storage import digest_of_file, make_folder, remove_unfinished, write_text
@@ -120,7 +123,8 @@ def frame_steps(
         make(source.offset(np.zeros(0)), np.zeros(source.rank))
         if driver.is_pictures:
             _ = source.flow_from_reference, read.weighted
-    anchor = source.anchor if detect is not None and driver.is_pictures else None
+    reader = source.for_person(driver.person)
+    anchor = reader.anchor if detect is not None and driver.is_pictures else None
     aligns = anchor is not None and detect is not None and anchor.detector.is_same(detect)
 
     def one_frame(item: tuple[int, AnyArray]) -> tuple[int, FrameMade]:
@@ -221,6 +225,26 @@ class MimicSettings:
         neutral_names(self.neutral)
 
 
+def opened_pair(request: Any, detect: Detector | None) -> tuple[list[UsedModel | Clip], MimicSettings]:
+    """Open both models or clips of a request of `mimic`, and raise any foreseeable error before a model is built."""
+    settings, options = settings_in(request, MimicSettings), clip_options(request)
+    sides = {"--src": request.source, "--dst": request.target}
+    check_origins(output_of(request.output))
+    opened = [opened_model(role, words, detect, options) for role, words in sides.items()]
+    clips = [given for given in opened if isinstance(given, Clip)]
+    if request.frames is None and not clips:
+        check_no_options(options, "both persons are models and no driving clip is given (--frames)")
+    for role, given in zip(sides, opened, strict=True):
+        if isinstance(given, Clip):
+            check_apart(request.output, given.paths)
+            check_faces(role, given, request.output / MODELS_FOLDER, request.components, detect)
+        if request.method == "guided":
+            check_landmarks(given)
+    if request.frames is not None and clips:
+        check_apart(request.output, open_clip([request.frames], options).paths)
+    return opened, settings
+
+
 @dataclass(frozen=True, eq=False)
 class WrittenMimicry:
     """A written mimicry: `settings` of the record, `columns` of quality.csv, `notes` for the user, and `files`."""
@@ -253,6 +277,7 @@ def written_mimicry(
     asked: MimicSettings,
     detector: Detector | None,
     inputs: Sequence[Path] = (),
+    options: ClipOptions = AS_IT_IS,
 ) -> Steps[WrittenMimicry]:
     """Drive the target with each frame; write pictures, video, tables, page and record into the folder.
 
@@ -262,6 +287,8 @@ def written_mimicry(
         Searches each driving frame for a face; None if no detector is available.
     inputs
         Files read beside those of the driver; none of them may be replaced.
+    options
+        How clips were read, for the record.
 
     Raises
     ------
@@ -276,6 +303,8 @@ def written_mimicry(
     cache.check_no_link(folder / WORK_FOLDER)
     remove_unfinished(folder / WORK_FOLDER)
     drive = drive_of(source, target, asked)
+    if detector is not None and driver.person is not None:
+        detector = load_detector(person=driver.person)
     looks = advice.looks_for_faces(driver, source.model, target.model, detector)
     settings = {
         "method": drive.method,
@@ -325,7 +354,7 @@ def written_mimicry(
     write_text(page, mimic_page(result))
     written.append(page)
     digests = {"source": source.digest, "target": target.digest, **driver.inputs}
-    written.append(write_record(folder, "mimic", settings, digests, written))
+    written.append(write_record(folder, "mimic", {**settings, **asdict(options)}, digests, written))
     work.remove()
     return WrittenMimicry(settings, columns, notes, tuple(written))
 

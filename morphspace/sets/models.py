@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import shutil
 import tempfile
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -14,9 +14,10 @@ import numpy as np
 
 from morphspace.cache import work_folder
 from morphspace.errors import BadInput, MorphspaceError, UnreadableFile
-from morphspace.face.detector import Detector, how_to_get_networks
+from morphspace.face.detector import Detector, Person, how_to_get_networks, person_of
 from morphspace.flow import methods
 from morphspace.io.clips import VIDEO_SUFFIXES, Clip, open_clip
+from morphspace.io.framing import FramedClip, Framing
 from morphspace.model.file import read_model_file
 from morphspace.model.from_clip import ClipSettings, build_clip, default_size
 from morphspace.model.keypoints import detect_faceframe, how_to_learn, with_detected
@@ -27,6 +28,7 @@ from morphspace.outcome import versions
 from morphspace.report.advice.build import Case
 from morphspace.report.build_page import write_build_page
 from morphspace.report.frames import measure_frames
+from morphspace.requests import AS_IT_IS, ClipOptions
 from morphspace.steps import Step, Steps, spread
 from morphspace.storage import digest_of_file, make_folder, remove_unfinished
 from morphspace.transfer.driver import UsedModel
@@ -74,7 +76,9 @@ def check_landmarks(used: UsedModel | Clip) -> None:
         )
 
 
-def opened_model(role: str, given: str, detector: Detector | None) -> UsedModel | Clip:
+def opened_model(
+    role: str, given: str, detector: Detector | None, options: ClipOptions = AS_IT_IS
+) -> UsedModel | Clip:
     """Open a model or a clip; check, before any work, that it has keypoints or can get them. Raises `BadInput`."""
     path = Path(given)
     if path.suffix.lower() == MODEL_SUFFIX and not path.exists():
@@ -94,7 +98,7 @@ def opened_model(role: str, given: str, detector: Detector | None) -> UsedModel 
             f"{role} {path} is one file. Give a model ({MODEL_SUFFIX}), or a folder, a quoted pattern or a video to "
             "build one from"
         )
-    clip = open_clip([given])
+    clip = open_clip([given], options)
     if len(clip) < MIN_FRAMES:
         raise BadInput(
             f"{role} {given} is a clip of {len(clip)} frame{'s' if len(clip) > 1 else ''}, too few for a model. "
@@ -167,6 +171,7 @@ def _found(clip: Clip, folder: Path, components: int) -> tuple[Path, MorphModel 
     """Return the model of this clip with these settings and its path; without one, None and a free path."""
     inputs = dict(zip(clip.frame_names, clip.digests(), strict=True))
     size = default_size(clip, None)
+    person = FramedClip(clip, Framing(clip.size, None, size)).person
     number = 1
     while True:
         path = folder / f"{clip.name}{'' if number == 1 else f'-{number}'}{MODEL_SUFFIX}"
@@ -180,6 +185,7 @@ def _found(clip: Clip, folder: Path, components: int) -> tuple[Path, MorphModel 
             and provenance.get("consent") == clip.sidecar.consent
             and provenance.get("licence") == clip.sidecar.licence
             and provenance.get("frame_rate_hz") == clip.sidecar.frame_rate_hz
+            and _person_of(provenance) in (person, None if person == "largest" else person)
             and (model.reference_faceframe is None) == (clip.sidecar.faceframe is None)
             and provenance.get("components_asked") == components
             and model.flow == methods.DEFAULT
@@ -189,6 +195,12 @@ def _found(clip: Clip, folder: Path, components: int) -> tuple[Path, MorphModel 
         if same:
             return path, model
         number += 1
+
+
+def _person_of(provenance: Mapping[str, Any]) -> Person | None:
+    """Return the person that the detector of a build looked for; None for the largest."""
+    entry = (provenance.get("landmarks") or {}).get("detector") or {}
+    return person_of(entry["person"]) if "person" in entry else None
 
 
 @contextlib.contextmanager

@@ -19,6 +19,7 @@ from morphspace.io.names import UNFIT
 from morphspace.io.tables import read_loadings_table
 from morphspace.model.encode import framed_for, notes_on_frames
 from morphspace.model.model import MorphModel
+from morphspace.requests import AS_IT_IS, ClipOptions, check_no_options
 from morphspace.sets.kept import digest_of_kept, encoded_clip
 from morphspace.sets.plan import KEPT_STEMS
 from morphspace.steps import Steps
@@ -117,7 +118,7 @@ def faces_of(
     clip: tuple[str, ...] = (),
     frames: tuple[str, ...] = (),
     crop: tuple[int, int, int, int] | None = None,
-    frame_rate_hz: float | None = None,
+    options: ClipOptions = AS_IT_IS,
 ) -> Steps[Faces]:
     """Read the faces of a table, or encode those of a clip.
 
@@ -127,24 +128,31 @@ def faces_of(
         Names of the selected frames; empty for all.
     crop
         (x, y, w, h) px, cut out of the clip's pictures first.
-    frame_rate_hz
-        Frame rate; None for that of the table, clip or model.
+    options
+        How the clip is read; of a table only the frame rate, None for that of the table, clip or model.
 
     Raises
     ------
     BadInput
-        If neither or both of table and clip are given, or a frame is missing.
+        If neither or both of table and clip are given, a frame is missing, or a table has options of clips.
     """
     if (table is None) == (not clip):
         given = "neither was given" if table is None else "both were given"
         raise BadInput(f"the faces come from a table (--loadings) or a clip (--clip); {given}. Give one")
-    faces = _of_table(model, table) if table is not None else (yield from _of_clip(model, clip, frames, crop))
-    if frame_rate_hz is not None:
-        times_s = faces.times_s
-        if times_s is not None:  # the frames are shown faster or slower
-            times_s = np.asarray(times_s) * (faces.frame_rate_hz / frame_rate_hz)
-        faces = replace(faces, frame_rate_hz=frame_rate_hz, times_s=times_s)
+    if table is None:
+        faces = yield from _of_clip(model, clip, frames, crop, options)
+    else:
+        check_no_options(options, f"{table} is a table", "frame_rate_hz")
+        faces = _at_rate(_of_table(model, table), options.frame_rate_hz)
     return _chosen(faces, frames)
+
+
+def _at_rate(faces: Faces, rate_hz: float | None) -> Faces:
+    """Show the frames faster or slower; None leaves them as they are."""
+    if rate_hz is None:
+        return faces
+    times_s = None if faces.times_s is None else np.asarray(faces.times_s) * (faces.frame_rate_hz / rate_hz)
+    return replace(faces, frame_rate_hz=rate_hz, times_s=times_s)
 
 
 def _of_table(model: MorphModel, path: Path) -> Faces:
@@ -169,13 +177,14 @@ def _of_clip(
     sources: tuple[str, ...],
     frames: tuple[str, ...],
     crop: tuple[int, int, int, int] | None,
+    options: ClipOptions,
 ) -> Steps[Faces]:
-    source = framed_for(model, sources, crop)
+    source = framed_for(model, sources, crop, options)
     if frames:
         places = [row for row, name in enumerate(source.names) if name in set(frames)]
         if len(places) < len(set(frames)):
             check_frames(frames, source.names, source.clip.name)
-        source = type(source)(source.clip.subset(places), source.framing)
+        source = replace(source, clip=source.clip.subset(places))
     loadings, _ = yield from encoded_clip(model, source)
     rate = source.clip.sidecar.frame_rate_hz or model.provenance.get("frame_rate_hz") or FRAME_RATE_HZ
     inputs = {f"clip/{name}": digest for name, digest in zip(source.names, source.file_digests, strict=True)}

@@ -20,7 +20,7 @@ from morphspace.io.colour import check_image, codes_of
 from morphspace.io.png import png_with_texts
 from morphspace.io.stimulus_sidecars import file_texts, read_stimulus_sidecar, sidecar_text
 from morphspace.model.model import MorphModel
-from morphspace.requests import recorded_path
+from morphspace.requests import ClipOptions, recorded_path
 from morphspace.steps import single_threads
 from morphspace.stimuli.drawing import Drawing
 from morphspace.stimuli.drawn import morphs_and_images
@@ -179,7 +179,7 @@ def originals_of(drawing: Drawing) -> Iterator[Image] | None:
     """
     if drawing.placing is None:
         return None
-    clip = _opened(drawing.placing.sources)
+    clip = _opened(drawing.placing.sources, drawing.placing.options)
     places, digests = [], clip.digests()
     for name in drawing.placing.names:
         if name not in clip.frame_names:
@@ -196,9 +196,9 @@ def originals_of(drawing: Drawing) -> Iterator[Image] | None:
 
 
 @lru_cache(maxsize=4)
-def _opened(sources: tuple[str, ...]) -> Clip:
+def _opened(sources: tuple[str, ...], options: ClipOptions) -> Clip:
     """Open a clip once for all stimuli that use its frames; the pictures are checked at each use."""
-    return open_clip(sources)
+    return open_clip(sources, options)
 
 
 def _kept(path: Path, sidecar: Path, drawing: Drawing, made_from: str) -> dict[str, Any] | None:

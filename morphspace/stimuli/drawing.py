@@ -18,7 +18,7 @@ from morphspace.arrays import AnyArray, LoadingTable, Mask
 from morphspace.errors import BadInput
 from morphspace.io.names import FORMULA, UNFIT
 from morphspace.io.stimulus_sidecars import DrawingDocument, PlacingDocument
-from morphspace.requests import VIDEO_SUFFIXES, check_rate
+from morphspace.requests import AS_IT_IS, VIDEO_SUFFIXES, ClipOptions, check_rate
 
 FURTHEST_SD = 1000.0  # SD; larger values are errors, and colours overflow
 PICTURE_SUFFIXES = (".png",)
@@ -42,6 +42,8 @@ class Placing:
         Maps a point of the rendered image to the original.
     sources : tuple of str
         The sources that open the clip of the originals.
+    options : ClipOptions
+        How they open it.
 
     Raises
     ------
@@ -53,6 +55,7 @@ class Placing:
     digests: tuple[str, ...]
     registrations: AnyArray
     sources: tuple[str, ...]
+    options: ClipOptions = AS_IT_IS
 
     def __post_init__(self) -> None:
         maps = _fixed(self.registrations)
@@ -72,6 +75,8 @@ class Placing:
             "digests": list(self.digests),
             "registrations": self.registrations.reshape(-1, 6).tolist(),
             "sources": list(self.sources),
+            "deinterlace": self.options.deinterlace,
+            "frame_rate_hz": self.options.frame_rate_hz,
         }
 
 
@@ -224,6 +229,7 @@ def _placing_of(document: PlacingDocument) -> Placing:
         tuple(document["digests"]),
         np.array(document["registrations"], np.float64).reshape(-1, 2, 3),
         tuple(document["sources"]),
+        ClipOptions(deinterlace=document["deinterlace"], frame_rate_hz=document["frame_rate_hz"]),
     )
 
 

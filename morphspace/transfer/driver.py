@@ -14,11 +14,13 @@ import numpy as np
 
 from morphspace.arrays import AnyArray, Image
 from morphspace.errors import BadInput
+from morphspace.face.detector import Person
 from morphspace.face.mesh import FacePoints
 from morphspace.io.clock import frames_shown
 from morphspace.model.encode import framed_for, notes_on_framing
 from morphspace.model.model import MorphModel
 from morphspace.model.morph import MorphOffset
+from morphspace.requests import AS_IT_IS, ClipOptions
 from morphspace.storage import digest_of_json
 
 
@@ -57,6 +59,8 @@ class Driver:
         The times of the frames of a clip that has them.
     is_pictures : bool
         Whether the frames are pictures, in which faces can be detected, or loadings.
+    person : Person or None
+        The face to be used if a frame shows several (`FramedClip.person`).
     """
 
     name: str
@@ -71,6 +75,7 @@ class Driver:
     notes: tuple[str, ...] = ()
     times_s: tuple[float, ...] | None = None
     is_pictures: bool = True
+    person: Person | None = None
 
     def shown(self) -> AnyArray:
         """Return the frame (m,) that each picture of a video at even times shows: the nearest one."""
@@ -106,7 +111,7 @@ def training_driver(source: UsedModel) -> Driver:
     )
 
 
-def clip_driver(source: UsedModel, frames: str) -> Driver:
+def clip_driver(source: UsedModel, frames: str, options: ClipOptions = AS_IT_IS) -> Driver:
     """Make a driver of a clip, whose frames are aligned to the source's reference.
 
     Raises
@@ -114,8 +119,8 @@ def clip_driver(source: UsedModel, frames: str) -> Driver:
     BadInput, UnreadableFile
         If the clip cannot be read, or its pictures are too small.
     """
-    model = source.model
-    framed = framed_for(model, (frames,), None)
+    framed = framed_for(source.model, (frames,), None, options)
+    model = source.model.for_person(framed.person)
 
     def offset(name: str, picture: Image, found: FacePoints | None) -> MorphOffset:
         aligned = model.align(picture, name, found).image
@@ -135,4 +140,5 @@ def clip_driver(source: UsedModel, frames: str) -> Driver:
         files=framed.clip.paths,
         notes=framed.clip.notes + notes_on_framing(framed.framing, model.identity, "driving frames"),
         times_s=framed.clip.times_s,
+        person=framed.person,
     )

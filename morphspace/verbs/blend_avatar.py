@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 from annotated_types import Ge, Le
 
 from morphspace.flow.names import DEFAULT, NAMES
-from morphspace.requests import ClipText, MaxSd, MimicryMethod, declared
+from morphspace.requests import ClipOptions, ClipText, MaxSd, MimicryMethod, declared_with
 from morphspace.settings import Argument, Help, OneOf, Option, Spelled
 
 if TYPE_CHECKING:
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 SUFFIX = ".morph"
 
 
-@declared
+@declared_with(ClipOptions)
 class BlendAvatarRequest:
     """Blend the identities of several models with keypoints into one face of no real person."""
 
@@ -93,8 +93,8 @@ class BlendAvatarRequest:
         tuple[ClipText, ...] | None,
         Option(metavar="CLIP"),
         Help(
-            "The clip of each model, in the order of the models: its original frames are used, "
-            "not the model's renderings."
+            "The clip of each model, in the order of the models: its original frames are used, not the model's "
+            "renderings. Options of clips apply to all of them; clip.json sets those of one."
         ),
     ] = None
     landmarks: Annotated[

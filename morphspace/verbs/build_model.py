@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 from annotated_types import Ge, Gt, Le
 
 from morphspace.flow.names import DEFAULT, NAMES
-from morphspace.requests import Clip, Crop, Deinterlace, Place, Size, declared, settings_in
+from morphspace.requests import Clip, ClipOptions, Crop, Size, clip_options, declared_with, settings_in
 from morphspace.settings import Help, OneOf, Option, Spelled
 
 if TYPE_CHECKING:
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from morphspace.steps import Steps
 
 
-@declared
+@declared_with(ClipOptions)
 class BuildModelRequest:
     """Build a face model from CLIP: image files, a folder, a quoted glob, or a video."""
 
@@ -49,11 +49,6 @@ class BuildModelRequest:
             "`morphspace models fetch` has been run; anchor also holds the flow to the landmarks."
         ),
     ] = "auto"
-    person: Annotated[
-        Literal["largest", "left", "right"] | Place,
-        Option(metavar="largest|left|right|X,Y"),
-        Help("Which face is used if frames show several; X,Y is a place in the frames, px."),
-    ] = "largest"
     mask: Annotated[Path | None, Help("Grey picture of the reference's size, white on the face.")] = None
     reference: Annotated[
         str | None, Option(metavar="FILE"), Help("The reference frame [default: chosen, with the reason].")
@@ -79,7 +74,6 @@ class BuildModelRequest:
         Option("--work-dir"),
         Help("Folder for finished frames, from which a stopped run resumes."),
     ] = None
-    deinterlace: Deinterlace = False
     identity: Annotated[
         str | None, Help("Name of the person [default: from clip.json, else the clip's name].")
     ] = None
@@ -97,7 +91,7 @@ def run(request: BuildModelRequest) -> Steps[Outcome]:
     from morphspace.sets.protect import writing
 
     settings = settings_in(request, ClipSettings)
-    clip = open_clip(request.sources, deinterlace=request.deinterlace)
+    clip = open_clip(request.sources, clip_options(request))
     output = request.output or Path(f"{clip.name}.morph")
     check_file(output, ".morph")
     report = request.report or output.with_suffix(".html")

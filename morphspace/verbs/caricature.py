@@ -6,14 +6,15 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 from morphspace.requests import (
+    ClipOptions,
     ClipText,
     Folder,
     FrameCrop,
-    FrameRate,
     Frames,
     Model,
     VideoOrPictures,
-    declared,
+    clip_options,
+    declared_with,
 )
 from morphspace.settings import Help, Option
 
@@ -24,7 +25,7 @@ if TYPE_CHECKING:
     from morphspace.steps import Steps
 
 
-@declared
+@declared_with(ClipOptions)
 class CaricatureRequest:
     """Draw faces of MODEL's person further from the mean face, nearer to it, or on its other side.
 
@@ -76,7 +77,6 @@ class CaricatureRequest:
     ] = None
     frames: Frames = ()
     video: VideoOrPictures = None
-    frame_rate_hz: FrameRate = None
     crop: FrameCrop = None
 
 
@@ -98,7 +98,7 @@ def plan(request: CaricatureRequest, model: MorphModel | None = None) -> Steps[P
     model = model or load_model(request.model)
     change, inputs = change_of(request, model)
     faces = yield from faces_of(
-        model, request.loadings, request.clip, request.frames, request.crop, request.frame_rate_hz
+        model, request.loadings, request.clip, request.frames, request.crop, clip_options(request)
     )
     faces = faces.for_video(request.video)
     rate = None if request.video is None else faces.frame_rate_hz

@@ -12,7 +12,15 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 from annotated_types import Ge, Le
 
-from morphspace.requests import ClipText, Crop, Folder, declared, request_document
+from morphspace.requests import (
+    ClipOptions,
+    ClipText,
+    Crop,
+    Folder,
+    clip_options,
+    declared_with,
+    request_document,
+)
 from morphspace.settings import Argument, Help, Option
 
 if TYPE_CHECKING:
@@ -22,7 +30,7 @@ if TYPE_CHECKING:
     from morphspace.steps import Steps
 
 
-@declared
+@declared_with(ClipOptions)
 class ContinuumRequest:
     """Draw the faces between A and B, in steps of equal size.
 
@@ -106,7 +114,7 @@ def plan(request: ContinuumRequest, model: MorphModel | None = None) -> Steps[Pl
     positions = None if request.positions is None else given_positions(request.positions)
     steps = even_positions(request.steps) if positions is None else positions
     ends = yield from continuum_ends(
-        request.first, request.last, request.output, request.model, request.crop, model
+        request.first, request.last, request.output, request.model, request.crop, model, clip_options(request)
     )
     line = ends.line
     series = yield from spaced_series(

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-from morphspace.requests import Clip, Deinterlace, FrameCrop, Model, declared
+from morphspace.requests import Clip, ClipOptions, FrameCrop, Model, clip_options, declared_with
 from morphspace.settings import Help, Option
 
 if TYPE_CHECKING:
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from morphspace.steps import Steps
 
 
-@declared
+@declared_with(ClipOptions)
 class EncodeRequest:
     """Encode the images of CLIP as a table of loadings on MODEL, in SD."""
 
@@ -24,7 +24,6 @@ class EncodeRequest:
     sources: Clip
     output: Annotated[Path, Option("-o", "--output"), Help("The loadings table (.csv).")]
     crop: FrameCrop = None
-    deinterlace: Deinterlace = False
 
 
 def run(request: EncodeRequest) -> Steps[Outcome]:
@@ -46,7 +45,7 @@ def run(request: EncodeRequest) -> Steps[Outcome]:
     from morphspace.steps import Step
 
     model = load_model(request.model)
-    source = framed_for(model, request.sources, request.crop, deinterlace=request.deinterlace)
+    source = framed_for(model, request.sources, request.crop, clip_options(request))
     check_file(request.output, ".csv")
     sidecar = request.output.with_suffix(".json")
     parts: list[Loadings] = []

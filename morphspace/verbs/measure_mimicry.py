@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated
 from annotated_types import Ge, Le
 
 from morphspace.errors import BadInput
-from morphspace.requests import ClipText, declared, settings_in
+from morphspace.requests import ClipOptions, ClipText, clip_options, declared_with, settings_in
 from morphspace.settings import Argument, Help, Option
 
 if TYPE_CHECKING:
@@ -24,11 +24,12 @@ if TYPE_CHECKING:
 FACES_MISSING = 3  # exit code: done, but some frames show no face
 
 
-@declared
+@declared_with(ClipOptions)
 class MeasureMimicryRequest:
     """Measure how closely IMITATION follows STIMULUS, in the expression space of the stimulus' model.
 
-    The exit code is 3 if all was done but some frames show no face; measures.json names them.
+    Options of clips, such as --frame-rate, apply to both; clip.json sets those of one clip. The exit code is 3 if all
+    was done but some frames show no face; measures.json names them.
     """
 
     stimulus: Annotated[ClipText, Argument("STIMULUS"), Help("A clip, or a table of loadings (.csv).")]
@@ -107,7 +108,7 @@ def run(request: MeasureMimicryRequest, detector: Detector | None = None) -> Ste
             raise BadInput(
                 f"the output folder {folder} is one of the two clips. Choose another output folder"
             )
-    settings = settings_in(request, MeasureSettings)
+    settings = settings_in(request, MeasureSettings, options=clip_options(request))
     guarded = Output(VERB, folder, [folder / name for name in WRITTEN], inputs=kept)
     with writing(guarded):
         made = yield from written_imitation(

@@ -10,25 +10,31 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 from annotated_types import Ge, Le
 
-from morphspace.requests import ClipText, Folder, MaxSd, MimicryMethod, declared, settings_in
+from morphspace.requests import (
+    ClipOptions,
+    ClipText,
+    Folder,
+    MaxSd,
+    MimicryMethod,
+    clip_options,
+    declared_with,
+)
 from morphspace.settings import Help, Option
 
 if TYPE_CHECKING:
     from morphspace.face.detector import Detector
-    from morphspace.io.clips import Clip
     from morphspace.outcome import Outcome
-    from morphspace.sets.mimicry import MimicSettings
     from morphspace.steps import Steps
-    from morphspace.transfer.driver import UsedModel
 
 FACES_MISSING = 3  # exit code: done, but some driving frames show no face
 
 
-@declared
+@declared_with(ClipOptions)
 class MimicRequest:
     """Drive B's face with the expressions of A's face (Nagle section 3).
 
-    The exit code is 3 if all was done but some driving frames show no face; quality.csv marks them.
+    Options of clips, such as --frame-rate, apply to every clip that is given; clip.json sets those of one clip. The
+    exit code is 3 if all was done but some driving frames show no face; quality.csv marks them.
     """
 
     source: Annotated[
@@ -91,21 +97,24 @@ def run(request: MimicRequest, detector: Detector | None = None) -> Steps[Outcom
     from morphspace.io.clips import Clip
     from morphspace.outcome import Outcome
     from morphspace.report.mimic_page import mimic_document, mimic_lines
-    from morphspace.sets.mimicry import output_of, written_mimicry
+    from morphspace.sets.mimicry import opened_pair, output_of, written_mimicry
     from morphspace.sets.models import MODELS_FOLDER, naming_what_stays, ready_model
     from morphspace.sets.protect import writing
     from morphspace.transfer.driver import clip_driver, training_driver
 
     folder, detect = request.output, detector or own_detector()
-    opened, settings = _opened(request, detect)
+    opened, settings = opened_pair(request, detect)
     inputs = [path for given in opened if isinstance(given, Clip) for path in given.paths]
     with naming_what_stays(folder), writing(output_of(folder, inputs)):
         models = []
         for given in opened:
             models.append((yield from ready_model(given, folder / MODELS_FOLDER, request.components, detect)))
         source, target = models
-        driver = training_driver(source) if request.frames is None else clip_driver(source, request.frames)
-        made = yield from written_mimicry(folder, source, target, driver, settings, detect, inputs)
+        given_frames, options = request.frames, clip_options(request)
+        driver = (
+            training_driver(source) if given_frames is None else clip_driver(source, given_frames, options)
+        )
+        made = yield from written_mimicry(folder, source, target, driver, settings, detect, inputs, options)
     identities = source.model.identity, target.model.identity
     lines = mimic_lines(folder, identities, made.columns, made.settings)
     document = mimic_document(folder, target.model.model_id, made.columns, made.settings)
@@ -117,30 +126,8 @@ def check(request: MimicRequest) -> None:
     """Check before a batch starts what can be checked without computing. Raises `BadInput`."""
     from morphspace.face.detector import own_detector
     from morphspace.io.clips import open_clip
+    from morphspace.sets.mimicry import opened_pair
 
-    _opened(request, own_detector())
+    opened_pair(request, own_detector())
     if request.frames is not None:
-        open_clip([request.frames])
-
-
-def _opened(request: MimicRequest, detect: Detector | None) -> tuple[list[UsedModel | Clip], MimicSettings]:
-    """Open both models or clips, and raise any foreseeable error before a model is built."""
-    from morphspace.io.clips import Clip, open_clip
-    from morphspace.sets.mimicry import MimicSettings, output_of
-    from morphspace.sets.models import MODELS_FOLDER, check_faces, check_landmarks, opened_model
-    from morphspace.sets.outputs import check_apart
-    from morphspace.sets.protect import check_origins
-
-    settings = settings_in(request, MimicSettings)
-    sides = {"--src": request.source, "--dst": request.target}
-    check_origins(output_of(request.output))
-    opened = [opened_model(role, words, detect) for role, words in sides.items()]
-    for role, given in zip(sides, opened, strict=True):
-        if isinstance(given, Clip):
-            check_apart(request.output, given.paths)
-            check_faces(role, given, request.output / MODELS_FOLDER, request.components, detect)
-        if request.method == "guided":
-            check_landmarks(given)
-    if request.frames is not None and any(isinstance(given, Clip) for given in opened):
-        check_apart(request.output, open_clip([request.frames]).paths)
-    return opened, settings
+        open_clip([request.frames], clip_options(request))

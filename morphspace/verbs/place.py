@@ -2,18 +2,20 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 from morphspace.requests import (
     Clip,
+    ClipOptions,
     Folder,
     FrameCrop,
-    FrameRate,
     Frames,
     Model,
     VideoOrPictures,
-    declared,
+    clip_options,
+    declared_with,
 )
 from morphspace.settings import Help, Option
 
@@ -24,7 +26,7 @@ if TYPE_CHECKING:
     from morphspace.steps import Steps
 
 
-@declared
+@declared_with(ClipOptions)
 class PlaceRequest:
     """Put faces of MODEL back into the frames of CLIP; hair, background and picture size stay."""
 
@@ -39,7 +41,6 @@ class PlaceRequest:
     gain: Annotated[float, Help("Factor on all loadings.")] = 1.0
     frames: Frames = ()
     video: VideoOrPictures = None
-    frame_rate_hz: FrameRate = None
     crop: FrameCrop = None
 
 
@@ -76,7 +77,8 @@ def plan(request: PlaceRequest, model: MorphModel | None = None) -> Steps[Planne
     from morphspace.stimuli.table_checks import check_reach, check_table
 
     model = model or load_model(request.model)
-    source = framed_for(model, request.clip, request.crop)
+    options = clip_options(request)
+    source = framed_for(model, request.clip, request.crop, options)
     inputs, notes = {}, notes_on_frames(source, model.identity)
     if request.loadings is None:
         source = frames_of(source, request.frames or source.names)
@@ -107,8 +109,7 @@ def plan(request: PlaceRequest, model: MorphModel | None = None) -> Steps[Planne
         shown = frames_shown(len(names), *clock)
         loadings_sd, registrations = loadings_sd[shown], registrations[shown]
         names, digests = (tuple(each[place] for place in shown) for each in (names, digests))
-    rate = request.frame_rate_hz or clock[1]
-    rate = rate or model.provenance.get("frame_rate_hz") or FRAME_RATE_HZ
+    rate = clock[1] or model.provenance.get("frame_rate_hz") or FRAME_RATE_HZ
     faces = Faces(source.clip.name, names, loadings_sd, float(rate), inputs)
     drawings = [
         Drawing(
@@ -116,7 +117,9 @@ def plan(request: PlaceRequest, model: MorphModel | None = None) -> Steps[Planne
             loadings_sd[rows],
             frame_rate_hz=None if request.video is None else faces.frame_rate_hz,
             suffix=request.video or ".png",
-            placing=Placing(names[rows], digests[rows], registrations[rows], request.clip),
+            placing=Placing(
+                names[rows], digests[rows], registrations[rows], request.clip, replace(options, person=None)
+            ),
             variables={
                 "gain": float(request.gain),
                 "original": names[rows][0] if request.video is None else name,

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+from dataclasses import asdict
 from typing import TYPE_CHECKING, Annotated
 
 from annotated_types import Ge
 
-from morphspace.requests import Clip, Deinterlace, Folder, FrameCrop, Model, declared
+from morphspace.requests import Clip, ClipOptions, Folder, FrameCrop, Model, clip_options, declared_with
 from morphspace.settings import Help, Option
 from morphspace.verbs.encode import write_loadings
 
@@ -15,7 +16,7 @@ if TYPE_CHECKING:
     from morphspace.steps import Steps
 
 
-@declared
+@declared_with(ClipOptions)
 class ReconstructRequest:
     """Reconstruct every image of CLIP from its loadings, beside the original, with figures."""
 
@@ -29,7 +30,6 @@ class ReconstructRequest:
         Help("Largest number of components, from the first [default: all]."),
     ] = None
     crop: FrameCrop = None
-    deinterlace: Deinterlace = False
 
 
 def run(request: ReconstructRequest) -> Steps[Outcome]:
@@ -52,7 +52,7 @@ def run(request: ReconstructRequest) -> Steps[Outcome]:
 
     whole, folder = load_model(request.model), request.output
     model, notes = first_components(whole, request.components)
-    source = framed_for(model, request.sources, request.crop, deinterlace=request.deinterlace)
+    source = framed_for(model, request.sources, request.crop, clip_options(request))
     notes += notes_on_frames(source, model.identity)
     names = (*FOLDERS, METRICS_NAME, "loadings.csv", "loadings.json", SHEET_NAME, PAGE_NAME, RECORD_NAME)
     guarded = Output("reconstruct", folder, [folder / name for name in names], inputs=source.clip.paths)
@@ -69,7 +69,7 @@ def run(request: ReconstructRequest) -> Steps[Outcome]:
             times_s=source.clip.times_s,
         )
         written = (*made.files, *loadings)
-        settings = {"components": model.rank, "crop": request.crop, "deinterlace": request.deinterlace}
+        settings = {"components": model.rank, "crop": request.crop, **asdict(clip_options(request))}
         files = {
             "model": digest_of_file(request.model),
             **{f"clip/{name}": digest for name, digest in inputs.items()},

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 from morphspace.errors import BadInput
-from morphspace.requests import VIDEO_SUFFIXES, FrameRate, Model, VideoSuffix, declared
+from morphspace.requests import VIDEO_SUFFIXES, FrameRate, Model, VideoSuffix, clip_options, declared
 from morphspace.settings import Argument, Help, NotAnOption, Option
 
 if TYPE_CHECKING:
@@ -74,7 +74,7 @@ def plan(request: RenderRequest, model: MorphModel | None = None) -> Steps[Plann
     from morphspace.stimuli.table_checks import check_reach
 
     model = model or load_model(request.model)
-    faces = yield from faces_of(model, request.table, frame_rate_hz=request.frame_rate_hz)
+    faces = yield from faces_of(model, request.table, options=clip_options(request))
     faces = faces.for_video(request.video)
     loadings_sd = caricatured(faces.loadings_sd, request.gain)
     check_reach(loadings_sd, faces.names, request.table)

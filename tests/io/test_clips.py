@@ -18,6 +18,7 @@ from morphspace.errors import BadInput, SizeMismatch, UnreadableFile
 from morphspace.io.clips import natural_key, open_clip
 from morphspace.io.images import read_image, write_image
 from morphspace.io.video import write_video
+from morphspace.requests import ClipOptions
 
 RNG = np.random.default_rng(8)
 FRAMES = [(RNG.integers(0, 256, (12, 16, 3)) / 255).astype(np.float32) for _ in range(12)]
@@ -350,9 +351,11 @@ def test_a_rate_that_cannot_be_is_refused_and_a_sidecar_gives_the_true_one(tmp_p
             container.mux(stream.encode(picture))
         container.mux(stream.encode(None))
     with pytest.raises(
-        BadInput, match=r"is 20000 Hz; expected 0\.01 to 10000\. Write .* into take\.clip\.json"
+        BadInput,
+        match=r"is 20000 Hz; expected 0\.01 to 10000\. Give .*--frame-rate, or .* in take\.clip\.json",
     ):
         open_clip([path])
+    assert open_clip([path], ClipOptions(frame_rate_hz=30)).sidecar.frame_rate_hz == 30
     (tmp_path / "take.clip.json").write_text('{"frame_rate_hz": 25}')
     assert open_clip([path]).sidecar.frame_rate_hz == 25
 
@@ -363,10 +366,13 @@ def test_an_interlaced_video_is_refused_unless_its_fields_are_to_be_made_whole(t
     with pytest.raises(BadInput, match=r"is interlaced \(8 of 8 frames\); .*--deinterlace") as refused:
         open_clip([path])
     assert '"deinterlace": true into take.clip.json' in str(refused.value)
-    asked = open_clip([path], deinterlace=True)
+    asked = open_clip([path], ClipOptions(deinterlace=True))
     assert asked.is_deinterlaced and len(list(asked.images())) == 8
     assert "deinterlaced with FFmpeg's bwdif" in asked.notes[0]
     (tmp_path / "take.clip.json").write_text('{"deinterlace": true}')
     told = open_clip([path])
     assert told.digests() == asked.digests()
-    assert open_clip([uneven(tmp_path / "b.mp4", TIMES_MS)], deinterlace=True).is_deinterlaced is False
+    assert (
+        open_clip([uneven(tmp_path / "b.mp4", TIMES_MS)], ClipOptions(deinterlace=True)).is_deinterlaced
+        is False
+    )

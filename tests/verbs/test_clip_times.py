@@ -190,8 +190,8 @@ def test_what_reading_changes_is_a_note_of_the_verb(work, model, monkeypatch):
     (work / "clip.clip.json").write_text(json.dumps({"identity": "drawn"}))
     opened = encode_room.open_clip
 
-    def noted(sources, **settings):
-        return replace(opened(sources, **settings), notes=("its pixels became square",))
+    def noted(*given):
+        return replace(opened(*given), notes=("its pixels became square",))
 
     monkeypatch.setattr(encode_room, "open_clip", noted)
     outcome = result_of(encode.run(EncodeRequest(work / "drawn.morph", (str(path),), work / "t.csv")))
