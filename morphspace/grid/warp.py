@@ -215,7 +215,9 @@ def compose(outer: Displacement, inner: Displacement) -> Displacement:
 def render(texture: Image, displacement: Displacement) -> Image:
     """Put each point p of a texture (h, w, c) at p + u(p): the forward warp, by exact rasterisation.
 
-    Where the field folds, `invert` chooses which point is visible.
+    Where the field folds, `invert` chooses which point is visible. A pixel whose point lies outside the texture takes
+    the colour of the point mirrored at the edge, which continues the surroundings where the edge's own colour would
+    smear into stripes.
 
     Parameters
     ----------
@@ -244,7 +246,17 @@ def render(texture: Image, displacement: Displacement) -> Image:
     >>> np.argwhere(moved[..., 0] > 0.5).tolist()
     [[3, 3]]
     """
-    return sample(texture, invert(displacement))
+    points = positions(invert(displacement))
+    x, y = (_mirrored(at, size) for at, size in zip(points, texture.shape[1::-1], strict=True))
+    return sample_at(texture, x, y)
+
+
+def _mirrored(position: AnyArray, size: int) -> AnyArray:
+    """Mirror positions px at the first and last of `size` pixels."""
+    last = size - 1
+    outside = (position < 0) | (position > last)
+    position[outside] = last - np.abs(last - np.mod(position[outside], max(2 * last, 1)))
+    return position
 
 
 def invert(displacement: Displacement) -> Displacement:

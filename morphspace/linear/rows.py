@@ -7,7 +7,9 @@ memory of the process and grow with the number of frames.
 
 from __future__ import annotations
 
+import contextlib
 import os
+import tempfile
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from types import TracebackType
@@ -15,6 +17,7 @@ from typing import Protocol
 
 import numpy as np
 
+from morphspace import cache
 from morphspace.arrays import AnyArray, Rows
 from morphspace.errors import UnwritableFile
 
@@ -95,6 +98,21 @@ class RowFile:
         for index, row in zip(wanted, out, strict=True):
             os.preadv(self._file, [row.view(np.uint8).data], (int(index) * self.shape[1] + start) * 4)
         return out
+
+
+@contextlib.contextmanager
+def temporary_rows(folder: Path, rows: int, width: int) -> Iterator[RowFile]:
+    """Open a `RowFile` in a folder for the block. It is unlinked at once, so that a killed process leaves none."""
+    handle, name = tempfile.mkstemp(prefix=".morphs.", suffix=cache.SUFFIX, dir=folder)
+    os.close(handle)
+    path = Path(name)
+    try:
+        with RowFile(path, rows, width) as file:
+            with contextlib.suppress(PermissionError):  # Windows cannot unlink an open file
+                path.unlink()
+            yield file
+    finally:
+        path.unlink(missing_ok=True)
 
 
 class RowArray:

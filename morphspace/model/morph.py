@@ -10,11 +10,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from morphspace.arrays import AnyArray, Displacement, Image, read_only
+from morphspace.arrays import Affine, AnyArray, Displacement, Image, Mask, read_only
 from morphspace.errors import BadInput, ReferenceMismatch
 from morphspace.grid import warp
 
 CHANNELS = 5  # R, G, B, x, y: Nagle's w * h * (2 + 3)
+FADE_PX = 4.0  # px beyond the edge of a frame, over which its colours fade; a cut would show as a line
 MEAN_FOLDS = 0.02  # share of cells; a mean over frames is smooth unless the frames show different things
 INVERSE_TOL_PX = 0.01  # px, of m(m^-1(p)) - p at the median; the exact inverse stays below it
 
@@ -214,6 +215,37 @@ def morph_of(image: Image, displacement: Displacement, reference_id: str) -> Mor
     Nagle et al., section 2.
     """
     return Morph.of(warp.sample(image, displacement), displacement, reference_id)
+
+
+def shown_share(displacement: Displacement, registration: Affine) -> Mask:
+    """Return where a frame shows the points of a morph: 1 inside its picture, 0 from `FADE_PX` outside, (h, w, 1).
+
+    Parameters
+    ----------
+    displacement : array (h, w, 2) px
+        From the mean face to the aligned frame.
+    registration : array (2, 3)
+        From the aligned frame to the frame, both of the morph's size.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> six_right = np.array([[1.0, 0, 6], [0, 1, 0]])
+    >>> shown_share(np.zeros((1, 9, 2), np.float32), six_right)[0, :, 0].tolist()
+    [1.0, 1.0, 1.0, 0.75, 0.5, 0.25, 0.0, 0.0, 0.0]
+    """
+    height, width = displacement.shape[:2]
+    x, y = warp.positions(displacement)
+    outside = _beyond(x, y, width, height)
+    in_frame = warp.apply_affine(registration, np.stack([x, y], axis=-1))
+    outside = np.maximum(outside, _beyond(in_frame[..., 0], in_frame[..., 1], width, height))
+    share: Mask = np.clip(1 - outside / FADE_PX, 0, 1).astype(np.float32)[..., None]
+    return share
+
+
+def _beyond(x: AnyArray, y: AnyArray, width: int, height: int) -> AnyArray:
+    """Return how far points lie outside a picture, px; negative inside."""
+    return np.maximum.reduce([-x, x - (width - 1), -y, y - (height - 1)])
 
 
 def invert_mean_shape(mean_field: Displacement) -> Displacement:

@@ -7,17 +7,13 @@ and once for its flow.
 
 from __future__ import annotations
 
-import contextlib
-import os
-import tempfile
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from morphspace import cache
 from morphspace.arrays import Affine, AnyArray, Displacement, Image, LoadingTable, Mask
 from morphspace.errors import BadInput
 from morphspace.face import regions
@@ -34,11 +30,11 @@ from morphspace.flow.starts import StartKind
 from morphspace.grid import warp
 from morphspace.io.framing import FrameSource, same_size
 from morphspace.linear.pca import Basis, basis_from_gram, gram_matrix, mean_row
-from morphspace.linear.rows import RowFile
+from morphspace.linear.rows import RowFile, temporary_rows
 from morphspace.model.keypoints import detect_faceframe, with_detected
 from morphspace.model.loadings import Loadings
 from morphspace.model.model import MorphModel, inner_product, model_digest
-from morphspace.model.morph import CHANNELS, Morph, invert_mean_shape, morph_of, resource
+from morphspace.model.morph import CHANNELS, Morph, invert_mean_shape, morph_of, resource, shown_share
 from morphspace.model.reference import POOL, ReferenceChoice, SmallFrame, reason_of, search, shrunk
 from morphspace.model.warp_weight import WeightTrial, best_trial, trial_weights
 from morphspace.model.work_frames import FramePlan, frame_steps, read_aligned, read_work_frame
@@ -47,6 +43,7 @@ from morphspace.storage import digest_of_array, digest_of_json
 
 MIN_FRAMES = 3
 COMPONENTS = 50
+LEAST_SHOWN = 1.0  # frames; places that fewer show keep the colours at the pictures' edges
 
 
 @dataclass(frozen=True, eq=False)
@@ -187,7 +184,7 @@ def build_steps(
     movements = [_movement(face, one) for one in survey.found]
     files = yield from frame_steps(source, plan, work_folder, movements)
     shape = _mean_shape(settings, plan, on_reference, files)
-    with _row_file(work_folder, len(files), CHANNELS * plan.mask.size) as rows:
+    with temporary_rows(work_folder, len(files), CHANNELS * plan.mask.size) as rows:
         measured = yield from _morph_pass(rows, files, shape)
         components = yield from _component_pass(rows, files, shape.mask, settings)
     document = _provenance_of_build(provenance, settings, survey, choice, plan, on_reference, components)
@@ -373,21 +370,6 @@ def _mean_field(files: list[Path]) -> tuple[AnyArray, Displacement]:
     return registrations, (total / len(files)).astype(np.float32)
 
 
-@contextlib.contextmanager
-def _row_file(work_folder: Path, rows: int, width: int) -> Iterator[RowFile]:
-    """Open a temporary file of rows for the block. It is unlinked at once, so that a killed build leaves none."""
-    handle, name = tempfile.mkstemp(prefix=".morphs.", suffix=cache.SUFFIX, dir=work_folder)
-    os.close(handle)
-    path = Path(name)
-    try:
-        with RowFile(path, rows, width) as file:
-            with contextlib.suppress(PermissionError):  # Windows cannot unlink an open file
-                path.unlink()
-            yield file
-    finally:
-        path.unlink(missing_ok=True)
-
-
 @dataclass(frozen=True, eq=False)
 class _Measured:
     """Measures of each frame's flow, as in `Build`."""
@@ -403,8 +385,9 @@ def _morph_pass(rows: RowFile, files: list[Path], shape: _MeanShape) -> Steps[_M
     """Vectorise each frame on the mean face, write its row, and measure its flow there."""
     mask, mean_inverse = shape.mask, shape.mean_inverse
     total = max(float(mask.sum()), 1.0)
+    colours, shown = np.zeros((*mask.shape, 3)), np.zeros((*mask.shape, 1))
 
-    def take_apart(item: tuple[int, Path]) -> tuple[tuple[float, ...], Mask]:
+    def take_apart(item: tuple[int, Path]) -> tuple[tuple[float, ...], Mask, Mask, Image]:
         index, file = item
         work = read_work_frame(file)
         flow = work.flow.displacement
@@ -415,17 +398,42 @@ def _morph_pass(rows: RowFile, files: list[Path], shape: _MeanShape) -> Steps[_M
         confidence = warp.sample_field(work.flow.confidence, mean_inverse)
         sure = float((confidence * mask).sum() / total)
         folds = warp.fold_fraction(morph.displacement, mask)
-        return (folds, moved, sure, float(work.start == "neighbour")), confidence
+        share = shown_share(morph.displacement, work.frame.registration)
+        return (folds, moved, sure, float(work.start == "neighbour")), confidence, share, morph.texture
 
     measured = []
     confidences = np.zeros(mask.shape)
-    for figures, confidence in in_order(take_apart, enumerate(files)):
+    for figures, confidence, share, texture in in_order(take_apart, enumerate(files)):
         measured.append(figures)
         confidences += confidence
+        colours += share * texture
+        shown += share
         yield Step("morphs", len(measured), len(files))
+    _paint_surroundings(rows, shape, colours, shown)
     folds, motion_px, sure, near = np.array(measured).T
     mean = (confidences / len(files)).astype(np.float32)
     return _Measured(folds, motion_px, np.clip(sure, 0, 1), mean, near > 0)
+
+
+def _paint_surroundings(rows: RowFile, shape: _MeanShape, colours: AnyArray, shown: AnyArray) -> None:
+    """Where a frame's picture ends, give its texture the mean colours of the frames that go on there.
+
+    Otherwise the last pixels of the frame would stand there, smeared into stripes that move with the head.
+
+    Parameters
+    ----------
+    colours, shown : array (h, w, 3) and (h, w, 1)
+        Sums over the frames of their colours, weighted by `shown_share`, and of these weights.
+    """
+    known = shown[..., 0] >= LEAST_SHOWN
+    mean = colours[known] / shown[known]
+    for index, registration in enumerate(shape.registrations):
+        morph = Morph(rows.row(index), shape.mask.shape, shape.reference_id)
+        share = shown_share(morph.displacement, registration)[known]
+        if (share < 1).any():
+            texture = morph.texture.copy()
+            texture[known] = share * texture[known] + (1 - share) * mean
+            rows.write_row(index, texture)
 
 
 def _faceframe_on_mean(

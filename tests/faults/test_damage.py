@@ -6,7 +6,8 @@ from pathlib import Path
 import pytest
 
 from morphspace.errors import MorphspaceError
-from morphspace.io import flow_fields, images, points, recipes, sidecars, tables, video
+from morphspace.io import flow_fields, images, points, sidecars, tables, video
+from morphspace.io.recipe import grammar
 from morphspace.io.stimulus_sidecars import read_stimulus_sidecar
 from morphspace.model.file import read_model_file
 from morphspace.requests import recipe_verbs
@@ -72,7 +73,7 @@ READERS = {
     "flow": flow_fields.read_flow,
     "lossless": frames_of,
     "video": frames_of,
-    "recipe": lambda path: recipes.read_recipe(
+    "recipe": lambda path: grammar.read_recipe(
         path, {name: verb.settings for name, verb in recipe_verbs().items()}
     ),
 }

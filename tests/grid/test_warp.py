@@ -213,6 +213,14 @@ def test_an_opening_mouth_renders_with_its_whole_gap():
         assert dark == pytest.approx(edges[1] - edges[0], abs=0.5)  # px
 
 
+@pytest.mark.parametrize("moved", [3, -3])
+def test_where_the_texture_ends_the_picture_goes_on_mirrored(picture, moved):
+    texture = picture(12, 16, seed=2)
+    field = np.full((12, 16, 2), moved, np.float32)
+    expected = np.pad(texture, ((3, 3), (3, 3), (0, 0)), mode="reflect")[3 - moved :, 3 - moved :][:12, :16]
+    assert_allclose(warp.render(texture, field), expected, atol=1e-5)
+
+
 def folded_line(positions):
     """A field that moves the columns to these x, the same in each row."""
     x, _ = grid(12, len(positions))

@@ -217,6 +217,18 @@ def test_head_movement_is_taken_out_and_kept(picture, make_clip, tmp_path):
     assert_allclose(still.image[inside], frames[0][inside], atol=0.03)  # 0.1 px on this texture
 
 
+def test_where_a_frame_ends_its_texture_takes_the_colours_of_the_others(picture, make_clip, tmp_path):
+    canvas = picture(160, 140, seed=6, sd_px=2.0)
+    shifts = [(0, 0), (12, 0), (-12, 0), (0, 12), (0, -12)]  # px
+    frames = [np.ascontiguousarray(canvas[30 - y : 130 - y, 30 - x : 110 - x]) for x, y in shifts]
+    model = built(make_clip(frames), tmp_path, replace(PLAIN, registration="similarity")).model
+    for loadings, (x, y) in zip(model.training.values[1:], shifts[1:], strict=True):
+        seen = np.zeros((100, 80), bool)
+        seen[max(-y, 0) : 100 - max(y, 0), max(-x, 0) : 80 - max(x, 0)] = True
+        difference = (model.expand(loadings).texture - frames[0])[~seen]
+        assert np.sqrt((difference**2).mean()) < 0.25 * canvas.std()  # the first px fade
+
+
 @pytest.fixture(scope="module")
 def waving(picture, wavy_field, make_clip):
     """A texture that waves smoothly, so that a stock flow finds its known warps."""
