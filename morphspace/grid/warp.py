@@ -241,10 +241,10 @@ def render(texture: Image, displacement: Displacement) -> Image:
     --------
     >>> import numpy as np
     >>> dot = np.zeros((5, 5, 1), np.float32)
-    >>> dot[2, 1] = 1
+    >>> dot[2, 2] = 1
     >>> moved = render(dot, np.zeros((5, 5, 2), np.float32) + (1, 1))
     >>> np.argwhere(moved[..., 0] > 0.5).tolist()
-    [[3, 2]]
+    [[3, 3]]
     """
     points = positions(invert(displacement))
     x, y = (_mirrored(at, size) for at, size in zip(points, texture.shape[1::-1], strict=True))
