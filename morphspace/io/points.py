@@ -49,7 +49,8 @@ NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)(e[+-]?\d+)?", re.IGNORECASE | re.AS
 MISSING_WORD = re.compile(r"[+-]?(nan|inf(inity)?)|n/?a|none|null", re.IGNORECASE | re.ASCII)
 NO_TEXT = re.compile(r"[\x00-\x08\x0e-\x19\x1b-\x1f\x7f-\x9f]")  # without 1a, which ends a DOS text
 EMPTY_CELLS = " \t,;"
-MARK_AGAIN = "Mark this landmark again, or give both eyes and the philtrum in a .csv, x,y in each line"
+EYES_ALONE = "Mark it again, or give both eyes and the philtrum in a .csv, x,y in each line"
+LISTED = 5  # landmarks; a message lists no more
 BLANKS = " \t\v\f\x1a"
 LINE_END = re.compile(r"\r\n|\r|\n")
 QUOTED = 40  # characters of a line in a message
@@ -160,8 +161,8 @@ def read_marked_points(
     Raises
     ------
     BadInput
-        If the template is unknown, a `.tps` does not hold exactly one specimen, a landmark is missing, or one of
-        those around an eye or the lip lies outside the image.
+        If the template is unknown, a `.tps` does not hold exactly one specimen, or a landmark is missing or lies
+        outside the image.
     UnreadableFile
         If the file is missing, empty or not a text.
     """
@@ -182,8 +183,10 @@ def read_marked_points(
     three, kind, scheme, on_points = _three_of(path, points, lip)
     turn, on_y = _turn_of_y(path, three, size[1], y_axis)
     down = turn(three)
-    if len(points) in TEMPLATES and not _outside(down, size).any():
-        _check_members(path, turn(points), TEMPLATES[len(points)], kind, size)
+    if not _outside(
+        down, size
+    ).any():  # an eye or the lip outside is refused with the ways to turn the points
+        check_inside(path, turn(points), size, "the image", EYES_ALONE)
     ordered, on_eyes = eyes_in_order(down, str(path))
     return MarkedPoints(ordered, kind, scheme, (*notes, *on_points, *on_y, *on_eyes))
 
@@ -239,16 +242,24 @@ def _outside(points: Points, size: tuple[int, int]) -> AnyArray:
     return np.asarray(beyond.any(axis=1))
 
 
-def _check_members(path: Path, points: Points, template: Template, lip: Lip, size: tuple[int, int]) -> None:
-    """Check that each landmark that is averaged to an eye or the lip lies inside the image."""
-    chosen = template.philtrum if lip == "philtrum" else template.upper_lip
-    for place in (*template.eyes[0], *template.eyes[1], *chosen):
-        if _outside(points[[place]], size)[0]:
-            x, y = points[place].tolist()
-            raise BadInput(
-                f"{path}: landmark {place + 1} of {len(points)} is {x:g},{y:g}; expected a place inside the image of "
-                f"{size[0]} x {size[1]} px. {MARK_AGAIN}"
-            )
+def check_inside(path: Path, points: Points, size: tuple[int, int], picture: str, remedy: str) -> None:
+    """Check that landmarks (m, 2) px lie inside the picture of `size` (w, h) px on which they were marked.
+
+    Raises `BadInput`, which numbers those outside from 1: programs also write such places for missing ones.
+    """
+    places = (np.flatnonzero(_outside(points, size)) + 1).tolist()
+    if not places:
+        return
+    x, y = points[places[0] - 1].tolist()
+    some = ", ".join(map(str, places[:LISTED]))
+    more = f" and {len(places) - LISTED} more" if len(places) > LISTED else ""
+    which = f"landmark {some} of {len(points)} lies"
+    if len(places) > 1:
+        which = f"landmarks {some}{more} of {len(points)} lie"
+    raise BadInput(
+        f"{path}: {which} outside {picture}, the first at {x:g},{y:g}; expected places inside its "
+        f"{size[0]}x{size[1]} px. {remedy}"
+    )
 
 
 def read_tps(path: str | Path) -> tuple[tuple[str, Points], ...]:
@@ -383,7 +394,7 @@ def _point_of(path: Path, number: int, text: str, place: int) -> tuple[float, fl
     if values in MISSING_MARKS or not all(map(math.isfinite, values)):
         raise BadInput(
             f"{path}, line {number}: landmark {place} is {_quoted(text)}, which marks it as missing; expected a "
-            f"place in the image. {MARK_AGAIN}"
+            f"place in the image. {EYES_ALONE}"
         )
     return values
 

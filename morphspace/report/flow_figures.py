@@ -19,11 +19,11 @@ from morphspace.flow.starts import WITHOUT_START, Pair, as_grey, check_spread, f
 from morphspace.grid import warp
 from morphspace.io.flow_fields import read_flow
 from morphspace.io.images import read_image
-from morphspace.io.points import read_landmark_pair
+from morphspace.io.points import check_inside, read_landmark_pair
 from morphspace.linear.quality import endpoint_error, forward_backward_px, photometric_rmse, stays_inside
 from morphspace.steps import Step, Steps
 
-LISTED = 5  # landmarks; a message lists no more
+MARK_INSIDE = "Mark them on this picture, at this size, or leave them out of both files"
 
 
 def read_pair(
@@ -68,25 +68,8 @@ def read_pair(
         landmarks = read_landmark_pair(*landmark_paths)
         for points, path, name in zip(landmarks, landmark_paths, names, strict=True):
             check_spread(points, str(path))
-            notes += check_inside(points, path, name, height, width)
+            check_inside(path, points, (width, height), name, MARK_INSIDE)
     return Pair(reference, frame, start, landmarks, tuple(notes))
-
-
-def check_inside(points: Points, path: Path, picture: str, height: int, width: int) -> tuple[str, ...]:
-    """Check that most landmarks (m, 2) are inside their picture; a cropped ear may be outside, which a note says.
-
-    Raises `BadInput` if more than half are outside.
-    """
-    outside = ((points < -0.5) | (points > np.array([width, height]) - 0.5)).any(axis=1)
-    places = (np.flatnonzero(outside) + 1).tolist()
-    more = f" and {len(places) - LISTED} more" if len(places) > LISTED else ""
-    which = f"{path}: landmarks {', '.join(map(str, places[:LISTED]))}{more} of {len(points)}"
-    if 2 * len(places) > len(points):
-        raise BadInput(
-            f"{which} lie outside {picture}, which has {width}x{height} px: give those that were marked on this "
-            "picture, at this size"
-        )
-    return (f"{which} lie outside {picture}: check them",) if places else ()
 
 
 @dataclass(frozen=True, eq=False)

@@ -220,9 +220,9 @@ def test_every_landmark_file_with_exchanged_eyes_is_put_in_order_and_says_so(fil
 
 @pytest.mark.parametrize("count", sorted(TEMPLATES))
 def test_a_template_with_exchanged_eyes_is_put_in_order_too(file, count):
-    points = templated(count) * (-1, 1) + (200, 0)
+    points = templated(count) * (-1, 1) + (199, 0)
     marked = read_marked_points(file("a.tem", f"{count}\n" + rows(points, " ")), SIZE)
-    assert_allclose(marked.points, (FACE * (-1, 1) + (200, 0))[[1, 0, 2]], atol=1e-9)
+    assert_allclose(marked.points, (FACE * (-1, 1) + (199, 0))[[1, 0, 2]], atol=1e-9)
     assert EXCHANGED in marked.notes[0]
 
 
@@ -293,17 +293,20 @@ def test_a_missing_point_of_a_faceframe_is_refused_by_its_name(tmp_path, mark):
 def test_a_landmark_of_an_eye_outside_the_picture_is_refused_by_its_number(file, suffix, place):
     points = templated(68)
     points[40] = place
-    with pytest.raises(
-        BadInput, match=r"landmark 41 of 68 is .*; expected a place inside the image of 200 x 240"
-    ):
+    line = r"landmark 41 of 68 lies outside the image, the first at .*; expected places inside its 200x240 px\. Mark"
+    with pytest.raises(BadInput, match=line):
         read_marked_points(file(f"a{suffix}", in_every_form(map(tuple, points))[suffix]), SIZE)
 
 
-def test_a_landmark_outside_that_no_eye_and_no_lip_needs_does_not_matter(file):
-    points = templated(68)
-    points[8] = (100, 260)  # the chin of a cropped face
-    found = read_marked_points(file("a.csv", in_every_form(map(tuple, points))[".csv"]), SIZE)
-    assert_allclose(found.points, FACE[:3])
+@pytest.mark.parametrize("count", [68, 189, 5])
+def test_landmarks_outside_that_no_eye_and_no_lip_needs_are_refused_too(file, count):
+    points = templated(68 if count == 5 else count)
+    points = np.concatenate([FACE[:3], points])[:5] if count == 5 else points
+    points[[3, 4]] = (100, 239.4), (100, 239.6)  # the chin of a cropped face; the last row is 239
+    with pytest.raises(
+        BadInput, match=rf"landmark 5 of {count} lies outside the image, the first at 100,239\.6"
+    ):
+        read_marked_points(file("a.csv", in_every_form(map(tuple, points))[".csv"]), SIZE)
 
 
 @settings(max_examples=300, deadline=None)

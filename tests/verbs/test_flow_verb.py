@@ -30,9 +30,9 @@ from morphspace.grid import warp
 from morphspace.io import flow_fields
 from morphspace.io.flow_fields import UNKNOWN_PX, read_flow, write_flows
 from morphspace.io.images import read_image, write_image
+from morphspace.io.points import check_inside
 from morphspace.io.tables import read_metrics_table
 from morphspace.linear.quality import forward_backward_px, stays_inside
-from morphspace.report.flow_figures import check_inside
 from morphspace.requests import field_named
 from morphspace.storage import digest_of_file, whole_file
 from morphspace.verbs.build_model import BuildModelRequest
@@ -623,14 +623,14 @@ def test_a_hangup_that_is_ignored_stays_ignored(folder, asked, number):
     assert signal.getsignal(number) == signal.SIG_IGN
 
 
-def test_landmarks_outside_their_picture_are_named_by_number_and_refused_if_they_are_most():
+def test_landmarks_outside_their_picture_are_refused_by_number():
     points = np.tile([[5.0, 5.0]], (13, 1))
-    assert check_inside(points, Path("a.tem"), "a.png", 20, 30) == ()
+    given = Path("a.tem"), points, (30, 20), "a.png", "Mark them"
+    check_inside(*given)
     points[[2, 6]] = (-0.6, 5), (5, 19.6)
-    (note,) = check_inside(points, Path("a.tem"), "a.png", 20, 30)
-    assert note == "a.tem: landmarks 3, 7 of 13 lie outside a.png: check them"
+    line = r"a\.tem: landmarks 3, 7 of 13 lie outside a\.png, the first at -0\.6,5; expected places inside its 30x20"
+    with pytest.raises(BadInput, match=line):
+        check_inside(*given)
     points[:8] = (29.6, 5)
-    with pytest.raises(
-        BadInput, match=r"landmarks 1, 2, 3, 4, 5 and 3 more of 13 lie outside a\.png, .* 30x20 px"
-    ):
-        check_inside(points, Path("a.tem"), "a.png", 20, 30)
+    with pytest.raises(BadInput, match=r"landmarks 1, 2, 3, 4, 5 and 3 more of 13 lie outside a\.png"):
+        check_inside(*given)
