@@ -34,6 +34,7 @@ from morphspace.storage import (
 
 FRAME_COLUMN = "frame"
 TIME_COLUMN = "time_s"
+RATE_TOL = 0.02  # relative; the rate of a header and of the times of a recording differ less (`io.video`)
 COMPONENT_COLUMN = re.compile(r"pc([0-9]{3,})_sd")
 TEXT_COLUMNS = ("frame", "clip", "identity", "name")  # never read as numbers: 0001 may name a frame
 
@@ -193,6 +194,8 @@ def read_loadings_table(path: str | Path) -> LoadingsTable:
         _check_times(path, names, times_s)
     beside = path.with_suffix(".json")
     document = LOADINGS.read(beside) if beside.exists() else None
+    if document is not None and document.get("frame_rate_hz") and times_s is not None:
+        _check_rate(beside, float(document["frame_rate_hz"] or 0), times_s)
     if document is not None and document.get("component_count", components) < components:
         raise BadInput(
             f"{beside} has component_count {document['component_count']}; expected the {components} of {path}. "
@@ -200,6 +203,19 @@ def read_loadings_table(path: str | Path) -> LoadingsTable:
         )
     notes = () if document is None else _change_notes(path, beside, document)
     return LoadingsTable(tuple(names), loadings, document, notes, times_s)
+
+
+def _check_rate(beside: Path, rate_hz: float, times_s: AnyArray) -> None:
+    """Check that a rate is that of the times (n,) s, on the whole or of the usual step if frames were lost."""
+    steps_s = np.diff(times_s)
+    if not len(steps_s):
+        return
+    of_times = [1 / float(step) for step in (steps_s.mean(), np.median(steps_s))]
+    if not any(abs(rate_hz / one - 1) <= RATE_TOL for one in of_times):
+        raise BadInput(
+            f"{beside} has frame_rate_hz {rate_hz:g}; expected {of_times[0]:.4g}, the rate of the column "
+            f"{TIME_COLUMN} of {beside.with_suffix('.csv').name}. Correct the one that is wrong, or remove it"
+        )
 
 
 def _change_notes(path: Path, beside: Path, document: LoadingsDocument) -> tuple[str, ...]:

@@ -6,6 +6,7 @@ refused: semicolons or tabs between the columns, decimal commas, and dates that 
 
 from __future__ import annotations
 
+import codecs
 import csv
 import io
 import re
@@ -22,6 +23,11 @@ MONTH = r"[^\W\d_]{3,9}\.?"
 DATE = re.compile(
     rf"\d{{1,4}}[-/. ]+({MONTH}|\d{{1,2}}[-/. ])([-/. ]*\d{{1,4}})?\.?([ T]\d\d?:\d\d.*)?|{MONTH}[-/. ]\d{{1,4}}"
 )
+LINE_END = re.compile(r"\r\n|\r|\n")
+MARKS_OF_UTF_16 = (
+    codecs.BOM_UTF16_LE,
+    codecs.BOM_UTF16_BE,
+)  # at the start of a file, which tell it from all others
 EXPORT = "Export it again as CSV UTF-8 with commas between the columns and decimal points"
 
 
@@ -46,19 +52,19 @@ class Table:
 
 
 def read_text(path: Path, limit: Limit, *, otherwise: str | None = None) -> str:
-    """Read a text in UTF-8, without its byte order mark.
+    """Read a text in UTF-8, or in UTF-16 with a byte order mark; the mark is left out.
 
     Parameters
     ----------
     path : Path
     limit : Limit
     otherwise : str, optional
-        The encoding of a file that is not UTF-8; None to refuse it.
+        The encoding of a file that is neither; None to refuse it.
 
     Raises
     ------
     UnreadableFile
-        If the file is missing or not a text.
+        If the file is missing or not a text; the message names the first byte that is none, and its line.
     BadInput
         If it is larger than the limit.
     """
@@ -69,16 +75,22 @@ def read_text(path: Path, limit: Limit, *, otherwise: str | None = None) -> str:
         raise UnreadableFile(
             f"cannot read {path}: {error.strerror}. Check the name and the permissions"
         ) from error
+    encoding, name = ("utf-16", "UTF-16") if content.startswith(MARKS_OF_UTF_16) else ("utf-8-sig", "UTF-8")
     try:
-        text = content.decode("utf-8-sig")
+        text = content.decode(encoding)
     except UnicodeDecodeError as error:
-        if otherwise is None:
+        if otherwise is None or name == "UTF-16":
+            line = len(LINE_END.findall(content[: error.start].decode(encoding, "ignore"))) + 1
             raise UnreadableFile(
-                f"{path} is not a text in UTF-8: {error.reason}. Save it as UTF-8"
+                f"{path} line {line} has the byte {content[error.start]:#04x}, which is not {name} ({error.reason}). "
+                "Save it as UTF-8"
             ) from error
         text = content.decode(otherwise)
     if "\0" in text:
-        raise UnreadableFile(f"{path} is not a text: it holds zero bytes. Save it as UTF-8")
+        line = len(LINE_END.findall(text.partition("\0")[0])) + 1
+        raise UnreadableFile(
+            f"{path} line {line} has a zero byte, which no text in {name} has. Save it as UTF-8"
+        )
     return text
 
 

@@ -93,7 +93,8 @@ def test_what_is_wrong_is_named_with_its_line(file, name, content, mentioned):
         ("empty.tem", "", "empty"),
         ("blank.csv", "\n  \n# nothing\n", "empty"),
         ("picture.tem", b"\x89PNG\xff\xfe", "UTF-8"),
-        ("wide.tem", "3\n1\t2\n".encode("utf-16"), "UTF-8"),
+        ("wide.tem", "3\n1\t2\n".encode("utf-16-le"), "UTF-8"),
+        ("half.tem", "3\n1\t2\n".encode("utf-16")[:-1], "line 2 .* not UTF-16"),
         ("zeros.csv", b"\0" * 100, "UTF-8"),
     ],
 )

@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 
 from morphspace.errors import BadInput, UnreadableFile, UnwritableFile
+from morphspace.io.recipe.text import read_rows
 from morphspace.io.tables import (
     read_loadings_table,
     read_metrics_table,
@@ -323,3 +324,63 @@ def test_the_limits_of_a_frame_rate(tmp_path, rate_hz, is_read):
     else:
         with pytest.raises(BadInput, match=r"frame_rate_hz is .*; expected a number from 0\.01 to 10000"):
             read_loadings_table(tmp_path / "t.csv")
+
+
+TEXT = "frame,pc001_sd\nä,0.5\n笑,-1\n"
+
+
+@pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig", "utf-16", "utf-16-le", "utf-16-be"])
+def test_utf_16_is_read_if_it_says_so_at_its_start(tmp_path, encoding):
+    path = tmp_path / "t.csv"
+    mark = "\ufeff" if encoding.startswith("utf-16-") else ""
+    path.write_bytes((mark + TEXT).encode(encoding))
+    table = read_loadings_table(path)
+    assert table.frame_names == ("ä", "笑")
+    assert table.loadings_sd.tolist() == [[0.5], [-1.0]]
+
+
+@pytest.mark.parametrize(
+    ("content", "words"),
+    [
+        ("frame,pc001_sd\na,1\nä,2\n".encode("latin-1"), r"line 3 has the byte 0xe4, which is not UTF-8"),
+        ("frame,pc001_sd\r\n“a”,1\r\n".encode("cp1252"), r"line 2 has the byte 0x93, which is not UTF-8"),
+        ("frame,pc001_sd\nb,1\n".encode("utf-16-le"), r"line 1 has a zero byte, which no text in UTF-8 has"),
+        ("frame,pc001_sd\nb,1\n".encode("utf-16")[:-1], r"line 2 has the byte 0x0a, which is not UTF-16"),
+        ("frame,pc001_sd\nb,1\n".encode("utf-32"), r"line 1 has a zero byte, which no text in UTF-16 has"),
+    ],
+)
+def test_another_encoding_is_refused_with_the_first_byte_and_its_line(tmp_path, content, words):
+    path = tmp_path / "t.csv"
+    path.write_bytes(content)
+    for read in (read_loadings_table, read_metrics_table, read_rows):
+        with pytest.raises(UnreadableFile, match=words + r".*\. Save it as UTF-8$"):
+            read(path)
+
+
+TIMES_S = {"even": np.arange(9) / 25, "lost": np.array([0, 1, 2, 3, 5, 6, 7, 9, 10]) / 25}
+TIMES_S["uneven"] = np.array([0, 0.03, 0.06, 0.15, 0.18, 0.21, 0.3, 0.33, 0.36])
+
+
+@pytest.mark.parametrize(
+    ("times", "rates"),
+    [("even", (25, 25.4)), ("lost", (25, 20)), ("uneven", (8 / 0.36, 1 / 0.03))],  # median and mean
+)
+def test_a_rate_that_is_not_that_of_the_times_is_refused_with_both(tmp_path, times, rates):
+    path, beside = tmp_path / "t.csv", tmp_path / "t.json"
+    names = [f"f{row}" for row in range(9)]
+    for rate in (*rates, None):
+        write_loadings_table(path, np.ones((9, 1)), names, {"frame_rate_hz": rate}, TIMES_S[times])
+        assert read_loadings_table(path).rate_hz == (rate or pytest.approx(8 / TIMES_S[times][-1]))
+    for wrong in (50, 12.5, 26, 60_000 / 1001):
+        document = {**json.loads(beside.read_text()), "frame_rate_hz": wrong}
+        beside.write_text(json.dumps(document))
+        mean = f"{8 / TIMES_S[times][-1]:.4g}"
+        with pytest.raises(
+            BadInput, match=rf"t\.json has frame_rate_hz {wrong:g}; expected {mean}, the rate of"
+        ):
+            read_loadings_table(path)
+
+
+def test_a_single_time_has_no_rate_to_contradict(tmp_path):
+    write_loadings_table(tmp_path / "t.csv", np.ones((1, 1)), ["a"], {"frame_rate_hz": 50}, [0.0])
+    assert read_loadings_table(tmp_path / "t.csv").rate_hz == 50
