@@ -16,6 +16,7 @@ import numpy as np
 from morphspace.arrays import Points
 from morphspace.documents import Document, FrameRate, Line, Open, OrNull, Point, Size, entries_of
 from morphspace.errors import BadInput
+from morphspace.io.names import composed
 from morphspace.settings import Help
 from morphspace.storage import json_text, write_text
 
@@ -181,11 +182,16 @@ class Sidecar:
 
 
 def read_sidecar(path: str | Path) -> Sidecar:
-    """Read a `clip.json`. Raises `UnreadableFile` for a wrong entry, and `BadInput` as `MarkedFaceframe` does."""
+    """Read a `clip.json`; its names become NFC.
+
+    Raises `UnreadableFile` for a wrong entry, and `BadInput` as `MarkedFaceframe` does.
+    """
     document: dict[str, Any] = dict(CLIP.read(Path(path)))
     given = {key: document.pop(key, None) for key in entries_of(ClipDocument)}
     faceframe = given.pop("faceframe")
     marked = None if faceframe is None else _marked(faceframe, "frame")
+    if given["identity"] is not None:
+        given["identity"] = composed(given["identity"])
     return Sidecar(**given, faceframe=marked, extra=document)
 
 
@@ -206,7 +212,7 @@ def read_faceframe(path: str | Path) -> MarkedFaceframe:
 def _marked(entry: Mapping[str, Any], image_key: str) -> MarkedFaceframe:
     points = np.array([entry[name] for name in POINT_NAMES], np.float64)
     size = entry.get("size")
-    return MarkedFaceframe(entry[image_key], points, None if size is None else (size[0], size[1]))
+    return MarkedFaceframe(composed(entry[image_key]), points, None if size is None else (size[0], size[1]))
 
 
 def _point_entries(faceframe: MarkedFaceframe) -> dict[str, list[float]]:

@@ -17,6 +17,7 @@ from PIL import Image as Pillow
 from morphspace.errors import BadInput, SizeMismatch, UnreadableFile
 from morphspace.io.clips import natural_key, open_clip
 from morphspace.io.images import read_image, write_image
+from morphspace.io.sidecars import read_faceframe
 from morphspace.io.video import write_video
 from morphspace.requests import ClipOptions
 
@@ -376,3 +377,48 @@ def test_an_interlaced_video_is_refused_unless_its_fields_are_to_be_made_whole(t
         open_clip([uneven(tmp_path / "b.mp4", TIMES_MS)], ClipOptions(deinterlace=True)).is_deinterlaced
         is False
     )
+
+
+def test_names_in_a_sidecar_are_compared_composed(folder):
+    document = {"identity": "Zoe\u0308", "faceframe": {"frame": "frame_1e\u0301", **POINTS}}
+    (folder / "clip.json").write_text(json.dumps(document, ensure_ascii=False), encoding="utf-8")
+    write_image(folder / "frame_1e\u0301.png", FRAMES[0])
+    clip = open_clip([folder])
+    assert clip.sidecar.identity == "Zo\u00eb"
+    assert clip.sidecar.faceframe.image == "frame_1\u00e9" in clip.frame_names
+    (folder / "a.json").write_text(json.dumps({**FACEFRAME, "image": "frame_1e\u0301"}), encoding="utf-8")
+    assert read_faceframe(folder / "a.json").image == "frame_1\u00e9"
+
+
+POINTS = {"right_eye": [4, 4], "left_eye": [10, 4], "philtrum": [7, 9]}
+FACEFRAME = {"format": "morphspace-faceframe", "version": 1, **POINTS}
+
+
+@pytest.mark.parametrize("suffix", [".mts", ".m2ts"])
+@pytest.mark.parametrize("codec", ["libx264", "mpeg2video"])
+@pytest.mark.parametrize("is_interlaced", [False, True])
+def test_a_camcorder_stream_is_a_clip(tmp_path, suffix, codec, is_interlaced):
+    path = tmp_path / f"00001{suffix}"
+    rows = np.linspace(0, 255, 64).astype(np.uint8)
+    with av.open(str(path), "w", format="mpegts") as container:
+        stream = container.add_stream(codec, rate=25, options={"crf": "4"} if codec == "libx264" else {})
+        stream.pix_fmt, stream.height, stream.width = "yuv420p", 64, 64
+        stream.bit_rate = 4_000_000
+        if is_interlaced:
+            stream.codec_context.flags |= 1 << 18 | 1 << 29  # interlaced transform, and motion
+        for index in range(8):
+            codes = np.broadcast_to(np.roll(rows, 8 * index)[:, None, None], (64, 64, 3))
+            picture = av.VideoFrame.from_ndarray(np.ascontiguousarray(codes), format="rgb24")
+            container.mux(stream.encode(picture))
+        container.mux(stream.encode(None))
+    if is_interlaced:
+        with pytest.raises(BadInput, match=rf"00001\{suffix} is interlaced \(8 of 8 frames\)"):
+            open_clip([path])
+    clip = open_clip([path], ClipOptions(deinterlace=is_interlaced))
+    assert (len(clip), clip.size, clip.sidecar.frame_rate_hz) == (8, (64, 64), 25)
+    np.testing.assert_allclose(clip.times_s, np.arange(8) / 25, atol=1e-9)
+    for index, image in enumerate(clip.images()):
+        expected = np.roll(rows, 8 * index) / np.float32(255)
+        inner = np.abs(np.diff(expected, append=expected[:1])) < 0.1  # codecs blur the step
+        inner &= np.roll(inner, 1) & np.roll(inner, -1) & np.roll(inner, 2) & np.roll(inner, -2)
+        assert np.abs(image[..., 1].mean(axis=1) - expected)[inner].mean() < 0.03  # of lossy codecs
