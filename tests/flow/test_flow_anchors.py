@@ -7,11 +7,13 @@ the confidence by less than 0.2 %, and sizes of strips and bands change no bit.
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
+from scipy.interpolate import RBFInterpolator
 
 from morphspace.errors import BadInput
 from morphspace.face.mesh import LANDMARKS
 from morphspace.face.regions import face_mask
-from morphspace.flow import baselines, methods, starts
+from morphspace.flow import baselines, folds, methods, paper, starts
 from morphspace.flow.filters import gaussian_derivative
 from morphspace.flow.folds import unfolded
 from morphspace.flow.motion import motion, temporal_kernels
@@ -126,6 +128,69 @@ def test_the_flow_between_drawn_faces(figures, name, expected):
 def test_a_narrow_kernel_is_corrected_over_a_window_of_its_own():
     """Middle taps of the second derivative. CORRECTION_SD_PX: -1.750 and -2.678."""
     assert gaussian_derivative(2, 0.5).min() == pytest.approx(-2.0003, abs=1e-3)
+
+
+def waves(second=0.0, velocity=(0.6, 0.4), contrast=0.2):
+    """Two waves of 11 px, across and, `second` times as strong, down, that move by `velocity` px a frame."""
+    (y, x), t = np.mgrid[:32, :32], np.arange(23)[:, None, None]
+    across, down = (2 * np.pi / 11 * (at - t * px) for at, px in zip((x, y), velocity, strict=True))
+    return contrast * (np.cos(across + 0.3) + second * np.cos(down + 1.1))
+
+
+SLOW = {"plane": 1.0, "least_gradient": 0.02, "time_scale": 0.0}  # slower than counts as motion
+
+
+@pytest.mark.parametrize(
+    ("clip", "settings", "figure", "expected", "within"),
+    [
+        (waves(contrast=1e-5), {}, 2, 0.9711, 0.008),  # confidence; LEAST_GRADIENT: 0.9967, 0.2247
+        (waves(1e-3), {"plane": 1e-9}, 1, 0.0714, 0.2),  # px a frame down; RANK_TOL: 0.311, 0.002
+        (waves(0.025, (0.01, 0.01)), SLOW, 0, 0.0, 0.0),  # px a frame; LEAST_DETERMINANT / 10: 2417
+        (waves(0.035, (0.01, 0.01)), SLOW, 2, 0.136, 0.2),  # confidence; LEAST_DETERMINANT x 10: 0.979
+    ],
+)
+def test_faint_waves_have_motion_or_none(clip, settings, figure, expected, within):
+    """Near a limit, rounding decides at single pixels."""
+    found, middle = motion(clip, **settings), np.s_[12, 10:-10, 10:-10]
+    shown = (*found.velocity[middle].mean(axis=(0, 1)), found.confidence[middle].mean())
+    assert shown[figure] == pytest.approx(expected, rel=within)
+
+
+def test_beside_a_strong_texture_a_faint_one_has_no_motion():
+    """Mean step of a texture that moves by 0.6 px, px. LEAST_ENERGY: 0.63, 0."""
+    y, x = np.mgrid[:48, :96]
+    strong = np.where(x < 16, 0.4 * (x % 8 < 4), 0)
+    still, moved = (
+        0.5 + strong + 3e-4 * np.cos(2 * np.pi / 8 * (x - px)) * np.cos(2 * np.pi / 9 * y) for px in (0, 0.6)
+    )
+    still, moved = (np.repeat(grey[..., None], 3, axis=2).astype(np.float32) for grey in (still, moved))
+    field = paper.method(still)(moved).displacement
+    assert field[10:-10, 60:-12, 0].mean() == pytest.approx(1.519, rel=0.05)
+
+
+def test_a_spline_through_landmarks_is_that_of_scipy():
+    """Errors near landmarks and at the edge, px.
+
+    The largest; SPLINE_NEAR_PX: 0.13, 5e-7. The mean at the edge; SPLINE_MARGIN 0 and 1: 0.02 and 0.005.
+    """
+    places = np.array([[30.0, 30], [50, 30], [40, 45], [34, 58], [46, 58], [40, 52]])
+    moves = np.array([[0.0, 0], [0, 0], [0, 1], [2, 0], [-2, 0], [0, 6]])
+    y, x = np.mgrid[:96, :80]
+    spline = RBFInterpolator(places, moves, kernel="thin_plate_spline", degree=1)
+    truth = spline(np.column_stack([x.ravel(), y.ravel()]).astype(float)).reshape(96, 80, 2)
+    error = np.linalg.norm(starts.landmark_spline(places, places + moves, 96, 80) - truth, axis=-1)
+    assert error.max() == pytest.approx(0.00456, rel=0.02)
+    assert np.concatenate([error[[0, -1]].ravel(), error[:, [0, -1]].ravel()]).mean() < 2e-5
+
+
+def test_a_fold_is_smoothed_as_if_all_of_the_field_was(monkeypatch):
+    """BLURS_SD / 10: 1e-4 px apart."""
+    y, x = np.mgrid[:120, :120]
+    field = np.stack([3 * np.sin(x / 7), 3 * np.sin(y / 9)], axis=-1).astype(np.float32)
+    field[60, 50], field[55:65, 70] = (4, -5), -6
+    part = unfolded(field)
+    monkeypatch.setattr(folds, "_box", lambda cells, margin: folds.Box(0, 120, 0, 120))
+    assert_allclose(part, unfolded(field), rtol=0, atol=1e-6)  # px; rounding
 
 
 def picture(side=20, contrast=1.0, peak=1.0):

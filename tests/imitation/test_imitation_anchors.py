@@ -10,6 +10,7 @@ from morphspace.face.regions import region_mask
 from morphspace.imitation import align, compare, masked_basis
 from morphspace.imitation.chance import in_pieces, p_values
 from morphspace.imitation.information import mutual_information
+from morphspace.imitation.motions import Motion
 from morphspace.imitation.shape import lag_curves, varies
 from morphspace.steps import result_of
 from morphspace.stimuli.timing import at_positions
@@ -85,3 +86,10 @@ def test_what_rounding_leaves_of_a_window_is_no_motion(amount, is_known):
 def test_information_needs_eight_frames(frames, is_known):
     values = np.random.default_rng(0).standard_normal((2, frames))
     assert np.isfinite(mutual_information(*values)) == is_known
+
+
+@pytest.mark.parametrize(("outside", "is_strange"), [(0.95, False), (1.05, True)])
+def test_frames_as_far_outside_as_the_training_varies_are_strange(outside, is_strange):
+    """STRANGE."""
+    motion = Motion("a", (), np.zeros((0, 1)), None, None, 1, np.zeros(0, int), {}, outside=outside)
+    assert motion.is_strange == is_strange
