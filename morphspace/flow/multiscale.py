@@ -37,6 +37,7 @@ from morphspace.flow.folds import suspects_when_enlarged, unfolded
 from morphspace.flow.pairs import checked_frame, checked_picture, checked_start, unknown_flow
 from morphspace.flow.presets import Preset
 from morphspace.flow.pyramid import colour_planes, is_flat, pyramid, shift_between
+from morphspace.steps import check_awaited
 
 COARSE_PX = 160  # px, longer side up to which raw values lead: lips are a few px there
 START_PX = 140  # px, longer side up to which a start is tried; at the coarsest scale it always is
@@ -267,6 +268,7 @@ def _refined(
     if start is not None:
         warps = max(warps, 2)  # a rival is compared with a field refined at this scale
     for number in range(warps):
+        check_awaited()
         if number == min(1, warps - 1) and rivalled:
             slopes = half_derivatives(backend, target, preset.slope_channels)[of_order(1)]
             field = _with_rivals(level, slopes, field, start, preset, backend)
@@ -298,6 +300,7 @@ def _step(
     moved = field
     blur = bell(preset.integration_px) if preset.integration_px else None
     for number in range(rounds):
+        check_awaited()
         weighted = _robust(constraint, seen, moved - field if number > 0 else None, preset, backend)
         if blur is not None:
             weighted = backend.filtered(weighted, blur, blur)

@@ -1,8 +1,9 @@
 """Laws of steps and workers: results in order, in fixed memory, and the same for any number of workers."""
 
 import os
+import time
 from collections.abc import Iterator
-from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
+from concurrent.futures import CancelledError, ProcessPoolExecutor, ThreadPoolExecutor
 from multiprocessing import get_context
 from threading import Barrier
 
@@ -11,7 +12,7 @@ import pytest
 
 from morphspace import steps
 from morphspace.errors import BadInput
-from morphspace.steps import Step, in_order, result_of, using_workers, worker_count
+from morphspace.steps import Step, check_awaited, in_order, result_of, using_workers, worker_count
 
 
 def test_the_result_is_the_return_value_and_each_step_is_reported():
@@ -168,3 +169,24 @@ def test_an_executor_that_is_passed_in_does_the_work_and_lives_on():
 def test_an_executor_of_processes_gives_the_results_in_order():
     with ProcessPoolExecutor(2, mp_context=get_context("spawn")) as pool:
         assert list(in_order(abs, [-5, 3, -1, 0], pool)) == [5, 3, 1, 0]
+
+
+def test_work_that_nobody_awaits_is_told(own_threads):
+    told = []
+
+    def work(item):
+        for _ in range(20_000 if item else 0):  # far longer than the loop below lasts
+            try:
+                check_awaited()
+            except CancelledError:
+                told.append(item)
+                raise
+            time.sleep(0.001)
+        return item
+
+    check_awaited()  # outside of any loop
+    results = in_order(work, range(3), 2)
+    assert next(results) == 0
+    results.close()
+    assert sorted(told) in ([1], [1, 2])
+    check_awaited()
