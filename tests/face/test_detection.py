@@ -4,6 +4,7 @@ The slow tests need the networks: `morphspace models fetch` once. Without them t
 """
 
 from concurrent.futures import ThreadPoolExecutor
+from types import SimpleNamespace
 
 import cv2
 import numpy as np
@@ -15,7 +16,7 @@ from morphspace.errors import BadInput
 from morphspace.face.detector import Detector, MissingModels, load_detector, models_present
 from morphspace.face.detector.boxes import FaceBox, anchors, decode, in_order_of, overlap, person_of, suppress
 from morphspace.face.detector.crops import Crop, along, whole_image
-from morphspace.face.detector.detect import EYES, LID_ORDER
+from morphspace.face.detector.detect import EYES, LID_ORDER, _crop_of_box, _find_boxes
 from morphspace.face.mesh import (
     LEFT_BROW,
     LEFT_IRIS,
@@ -115,6 +116,43 @@ def test_a_box_is_a_candidate_from_half_of_the_score(score, count):
 def test_boxes_show_one_face_where_they_share_three_tenths(right_px, count):
     """OVERLAP: of two boxes of 10 px, 5 of 15 or 4.2 of 15.8."""
     assert len(suppress([box(0, 0, 10, 0.9), box(right_px, 0, 10, 0.8)])) == count
+
+
+class FixedNetwork:
+    """A box network that finds one box of 30 px in its input at call number `call`, with this score."""
+
+    def __init__(self, call, score):
+        self.call, self.score, self.calls = call, score, 0
+
+    def answer(self, picture):
+        self.calls += 1
+        scores, regressors = np.full(896, -50.0), np.full((896, 16), 30.0)
+        if self.calls == self.call:
+            scores[5] = np.log(self.score / (1 - self.score))
+        return scores, regressors
+
+
+def found_by(network, width=128, height=64):
+    return _find_boxes(SimpleNamespace(face=network), np.zeros((height, width, 3), np.float32))
+
+
+@pytest.mark.parametrize(("score", "count"), [(0.69, 0), (0.71, 1)])
+def test_a_box_shows_a_face_from_seven_tenths_of_the_score(score, count):
+    """LEAST_SCORE."""
+    assert len(found_by(FixedNetwork(1, score))) == count
+
+
+def test_a_face_that_fills_the_frame_is_looked_for_with_more_room_around():
+    """MARGINS, of the longer side: a box of 30 px of 128 is found with each, and with none after the last."""
+    boxes = [found_by(FixedNetwork(call, 0.9)) for call in range(1, 6)]
+    sizes = [float(np.ptp(one[0].corners, axis=0)[0]) for one in boxes[:4]]
+    assert_allclose(sizes, (30, 37.5, 45, 60))
+    assert boxes[4] == []
+
+
+def test_the_first_crop_is_half_as_large_again_as_the_box():
+    """ENLARGED."""
+    assert _crop_of_box(box(0, 0, 10, 0.9)).extent_px == 15.0
 
 
 def test_the_wanted_person_is_first():

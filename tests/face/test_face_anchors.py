@@ -142,3 +142,13 @@ def test_the_crop_of_a_drawn_head(drawn_anna):
     _, y, _, h = head_crop(path, (3000, 3000), 3.0)  # wider
     assert (x, w) == pytest.approx((across + 4 - 1.75 * eyes_px, 72 + 3.5 * eyes_px), abs=1)
     assert (y, h) == pytest.approx((down - 1.95 * eyes_px, 4.3 * eyes_px), abs=1)
+
+
+def test_the_usual_mask_is_kept_unless_the_face_lies_aside(drawn_anna):
+    """OVERLAP, of both ellipses: 0.5 and 0.7 are reached 15 and 7 px aside."""
+    face = drawn_anna.points()
+    kept = [
+        regions.place_of_mask(face.moved(np.add(face.points, (aside, 0))), HEIGHT, WIDTH, regions.OVERLAP)
+        for aside in (11, 12)
+    ]
+    assert kept[0] is None and kept[1] is not None

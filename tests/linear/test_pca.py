@@ -315,3 +315,17 @@ def test_a_basis_whose_parts_do_not_fit_is_refused():
     ):
         with pytest.raises(BadInput, match=r"shape \(.*; expected \("):
             Basis(*wrong, 0.0)
+
+
+@pytest.mark.parametrize(
+    ("eigenvalues", "energy", "rank"),
+    [
+        ((1.0, 2e-10), 0.0, 2),  # RANK_TOL, of the largest
+        ((1.0, 0.5e-10), 0.0, 1),
+        ((2e-11, 0.0), 1.0, 1),  # CONSTANT_TOL, of the energy
+        ((0.5e-11, 0.0), 1.0, 0),
+    ],
+)
+def test_eigenvalues_of_rounding_are_no_components(eigenvalues, energy, rank):
+    gram = np.diag((*eigenvalues, 0.0))
+    assert len(principal_axes(gram, 2, energy)[1]) == rank

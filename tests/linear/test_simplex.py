@@ -51,3 +51,21 @@ def test_more_faces_than_dimensions_have_one_solution():
     one = nearest_mixture(apart, np.zeros(60))
     assert aim(apart, np.zeros(60), one) < 1e-9
     assert np.array_equal(one, nearest_mixture(apart, np.zeros(60)))
+
+
+def test_a_target_in_the_middle_of_many_faces_is_a_mixture_of_all():
+    """STEPS / 10: 50 faces have joined."""
+    assert_allclose(nearest_mixture(np.eye(80), np.zeros(80)), 1 / 80)
+
+
+@pytest.mark.parametrize(
+    ("nearer", "weight"),
+    [
+        (3e-8, 0.0),  # RELATIVE_TOL / 10: 4.0e-10
+        (1e-7, 1.1e-9),  # RELATIVE_TOL x 10: 0; RIDGE: 1.01e-9, 2.0e-9
+    ],
+)
+def test_a_face_that_hardly_helps_does_not_join(nearer, weight):
+    """A face 10 away, of which a share of 1e-9 would bring the mixture nearer by 1e-16."""
+    found = nearest_mixture(np.array([[1.0, 0.0], [1 - nearer, 10.0]]), np.zeros(2))
+    assert found[1] == pytest.approx(weight, rel=0.02, abs=0.0)

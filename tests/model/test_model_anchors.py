@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from morphspace.errors import BadInput
-from morphspace.face.faceframe import FaceFrame
+from morphspace.face.faceframe import FaceFrame, identity_affine
 from morphspace.face.mesh import POINT_COUNT
 from morphspace.io.clips import Clip
 from morphspace.io.framing import Framing
@@ -19,7 +19,7 @@ from morphspace.model.from_clip import ClipSettings, marked_faceframe
 from morphspace.model.keypoint_sources import detected_keypoints
 from morphspace.model.keypoints import detect_faceframe
 from morphspace.model.landmarks import learn_landmarks
-from morphspace.model.morph import texture_columns
+from morphspace.model.morph import shown_share, texture_columns
 from morphspace.model.warp_weight import trial_weights
 from morphspace.steps import result_of
 
@@ -157,3 +157,9 @@ def test_a_warp_weight_is_at_most_a_thousand():
     ClipSettings(warp_weight=1000.0)
     with pytest.raises(BadInput):
         ClipSettings(warp_weight=1001.0)
+
+
+def test_colours_fade_over_four_pixels_beyond_a_frame():
+    """FADE_PX: half of them, 2 px outside."""
+    aside = np.zeros((20, 20, 2), np.float32) - (2, 0)
+    assert shown_share(aside, identity_affine())[5, 0, 0] == pytest.approx(0.5)
