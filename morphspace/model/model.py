@@ -52,6 +52,7 @@ from morphspace.model.morph import (
     resource,
     texture_columns,
 )
+from morphspace.settings import shown
 from morphspace.storage import digest_of_array, digest_of_json, is_container_or_nothing, write_container
 
 
@@ -218,10 +219,7 @@ class MorphModel:
         return replace(self, reading="flow alone")
 
     def for_person(self, person: Person | None) -> MorphModel:
-        """Return a model that reads this face of pictures that show several; None for the choice of the build.
-
-        Raises `BadInput` if the model reads pictures without face points.
-        """
+        """Return a model that reads this face of several, None as the build did; `BadInput` without face points."""
         chosen = self if person is None else replace(self, person=person)
         if person is not None and chosen.anchor is None:
             raise BadInput(
@@ -362,7 +360,12 @@ class MorphModel:
                     "them one after the other"
                 )
             loadings = loadings.in_raw(self).values
-        values = np.asarray(loadings, np.float64).reshape(-1)
+        try:
+            values = np.asarray(loadings, np.float64).reshape(-1)
+        except (TypeError, ValueError) as error:
+            raise BadInput(
+                f"the loadings are {shown(loadings)}; expected numbers, one for each component"
+            ) from error
         if len(values) > self.rank or not np.isfinite(values).all():
             raise BadInput(
                 f"{len(values)} loadings were given; expected at most {self.rank}, the model's components, all finite"

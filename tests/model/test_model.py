@@ -556,3 +556,13 @@ def test_a_model_is_not_saved_over_another_kind_of_file(model, tmp_path):
     path.write_bytes(b"")
     model.save(path)
     model.save(path)
+
+
+@pytest.mark.parametrize("loadings", ["x", object(), {"a": 1}, [[1.0], [2.0, 3.0]], ["a", "b"]])
+@pytest.mark.parametrize("method", ["render", "expand", "offset"])
+def test_loadings_that_are_no_numbers_are_refused_in_one_line(model, method, loadings):
+    with pytest.raises(
+        BadInput, match=r"the loadings are .*; expected numbers, one for each component"
+    ) as told:
+        getattr(model, method)(loadings)
+    assert "\n" not in str(told.value)
