@@ -36,6 +36,7 @@ from morphspace.outcome import versions as package_versions
 from morphspace.requests import CLIP_OPTIONS, Workers, clip_options, field_named, settings_in
 from morphspace.sets.continuum import GIVEN, continuum_drawings, spaced_series
 from morphspace.sets.mimicry import MimicSettings, drive_of
+from morphspace.sets.outputs import check_work_folder
 from morphspace.settings import WrongSetting, converted, field_of, shown
 from morphspace.steps import Step, Steps, in_order, result_of, using_workers
 from morphspace.stimuli.caricature import change_of
@@ -56,8 +57,6 @@ from morphspace.verbs.trajectory import TrajectoryRequest
 
 Result = TypeVar("Result")
 FRAME_RATE_HZ = 25.0  # of a motion whose model does not state its rate
-
-
 NOT_WRITTEN = Path("notebook")  # stands for the files that a verb reads or writes, in a request without any
 
 
@@ -573,6 +572,7 @@ def _check_loadings(**loadings: Any) -> None:
 
 
 def _work_folder(asked: Path | None) -> AbstractContextManager[Path | str]:
+    check_work_folder(asked)
     return tempfile.TemporaryDirectory(prefix="morphspace-") if asked is None else nullcontext(asked)
 
 

@@ -30,7 +30,10 @@ from morphspace.errors import UnreadableFile, UnwritableFile
 ALIGNMENT = 64  # bytes; the data start on a cache line, so that maps of float32 and float64 are aligned
 MAX_HEADER_BYTES = 100_000_000  # the limit of safetensors; a larger number means random bytes
 KEPT_NAME = 40  # characters of a name that its temporary file keeps, within the system's limit
-UNFINISHED = re.compile(r"\.(?P<stem>.{1,40})\.[a-z0-9_]{8}(?P<suffix>\.[a-z0-9]+)")  # names of `whole_file`
+OURS = (
+    ".morphspace-"  # in the names of unfinished files: no other program writes such, and they may be removed
+)
+UNFINISHED = re.compile(rf"\.(?P<stem>.{{1,40}}){re.escape(OURS)}[a-z0-9_]{{8}}(?P<suffix>\.[a-z0-9]+)")
 ABANDONED_AFTER_S = 3600  # a file is written in seconds: one unchanged for so long belongs to a killed run
 READ_BLOCK = 1 << 20  # bytes that are read at a time
 DEEPEST_JSON = 64  # lists and objects inside each other; our documents have 6, Python's stack ends near 300
@@ -75,15 +78,11 @@ def whole_file(path: Path) -> Iterator[Path]:
     path = Path(path)
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        handle, name = tempfile.mkstemp(
-            prefix=f".{path.stem[:KEPT_NAME]}.", suffix=path.suffix, dir=path.parent
-        )
-        os.close(handle)
+        temporary = unfinished_file(path.parent, path.stem, path.suffix)
     except OSError as error:
         raise UnwritableFile(
             f"cannot write {path}: {error.strerror or error}. Choose another output folder"
         ) from error
-    temporary = Path(name)
     try:
         yield temporary
         with temporary.open("rb+") as file:
@@ -98,6 +97,13 @@ def whole_file(path: Path) -> Iterator[Path]:
         ) from error
     finally:
         temporary.unlink(missing_ok=True)
+
+
+def unfinished_file(folder: Path, stem: str, suffix: str) -> Path:
+    """Make an empty hidden file with a new name, which `remove_unfinished` recognises. Raises `OSError`."""
+    handle, name = tempfile.mkstemp(prefix=f".{stem[:KEPT_NAME]}{OURS}", suffix=suffix, dir=folder)
+    os.close(handle)
+    return Path(name)
 
 
 def remove_unfinished(
@@ -117,15 +123,21 @@ def remove_unfinished(
         Whether to spare files that changed within the last hour, because other runs may be writing them.
     """
     wanted = None if names is None else {_shortened(Path(name)) for name in names}
-    for path in folder.glob(".*"):
+    for path in unfinished_in(folder):
         found = UNFINISHED.fullmatch(path.name)
-        if not found or path.is_dir() or suffix not in (None, found["suffix"]):
+        assert found is not None
+        if suffix not in (None, found["suffix"]):
             continue
         if wanted is not None and (found["stem"], found["suffix"]) not in wanted:
             continue
         with contextlib.suppress(FileNotFoundError):  # its writer has finished
             if not abandoned or time.time() - path.stat().st_mtime > ABANDONED_AFTER_S:
                 path.unlink()
+
+
+def unfinished_in(folder: Path) -> Iterator[Path]:
+    """Yield the temporary files of running and of killed runs in a folder, without its subfolders."""
+    return (path for path in folder.glob(".*") if UNFINISHED.fullmatch(path.name) and not path.is_dir())
 
 
 def _shortened(path: Path) -> tuple[str, str]:

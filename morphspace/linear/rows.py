@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import contextlib
 import os
-import tempfile
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from types import TracebackType
@@ -20,6 +19,7 @@ import numpy as np
 from morphspace import cache
 from morphspace.arrays import AnyArray, Rows
 from morphspace.errors import UnwritableFile
+from morphspace.storage import unfinished_file
 
 BLOCK_BYTES = 24 << 20  # bytes of a block of columns in float64; several exist at once
 
@@ -103,9 +103,7 @@ class RowFile:
 @contextlib.contextmanager
 def temporary_rows(folder: Path, rows: int, width: int) -> Iterator[RowFile]:
     """Open a `RowFile` in a folder for the block. It is unlinked at once, so that a killed process leaves none."""
-    handle, name = tempfile.mkstemp(prefix=".morphs.", suffix=cache.SUFFIX, dir=folder)
-    os.close(handle)
-    path = Path(name)
+    path = unfinished_file(folder, "morphs", cache.SUFFIX)
     try:
         with RowFile(path, rows, width) as file:
             with contextlib.suppress(PermissionError):  # Windows cannot unlink an open file

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any, NoReturn
 
 from morphspace.errors import BadInput
-from morphspace.io.clips import FRAMES_FOLDER, SIDECAR_NAME, VIDEO_SUFFIXES
+from morphspace.io.clips import FRAMES_FOLDER, IMAGE_SUFFIXES, SIDECAR_NAME, VIDEO_SUFFIXES
 from morphspace.outcome import RECORD_NAME
 from morphspace.stimuli.drawing import Drawing
 from morphspace.storage import MARK_NAME
@@ -184,6 +184,17 @@ def check_inputs(written: Iterable[Path], inputs: Collection[Path]) -> None:
             raise BadInput(
                 f"the output {path} is one of the inputs and would be replaced. Choose another output"
             )
+
+
+def check_work_folder(folder: Path | None) -> None:
+    """Check that a given folder for finished results is no clip, which they would join. Raises `BadInput`."""
+    for place in () if folder is None else (folder, folder / FRAMES_FOLDER):
+        for path in place.iterdir() if place.is_dir() else ():
+            if path.name == SIDECAR_NAME or path.suffix.lower() in (*IMAGE_SUFFIXES, *VIDEO_SUFFIXES):
+                raise BadInput(
+                    f"the work folder {folder} is a clip (it holds {path.name}); expected a folder of its own. Choose "
+                    "another, such as one that does not exist yet"
+                )
 
 
 def check_apart(output: Path, inputs: Sequence[Path]) -> None:

@@ -23,7 +23,8 @@ from morphspace.io.tables import LOADINGS
 from morphspace.outcome import RECORD, RECORD_NAME, relative_name
 from morphspace.sets.marks import begun_in, locked
 from morphspace.sets.outputs import TABLE_SUFFIX, Output, check_apart, check_inputs, refuse
-from morphspace.storage import digest_of_file, is_container_or_nothing, make_folder, read_container
+from morphspace.sets.stimulus import is_as_written
+from morphspace.storage import MARK_NAME, digest_of_file, is_container_or_nothing, make_folder, read_container
 
 SIDECAR_START = '{\n  "consent": '  # keys are sorted, and this key comes first in every sidecar
 MODEL_SUFFIX = ".morph"
@@ -130,6 +131,7 @@ def check_origins(output: Output) -> dict[str, str]:
                 f"{path} is of {found}, and would be replaced by one of {output.identity}. Choose another output, or "
                 f"move {path.name} away"
             )
+    recorded = _object(output.record).get("outputs") if output.stimuli else None
     for picture, sidecar in output.stimuli:
         for path in (picture, sidecar):
             if path.is_dir():
@@ -139,6 +141,11 @@ def check_origins(output: Output) -> dict[str, str]:
             refuse(picture, output.verb)
         if _holds(sidecar) and not is_own and not _is_stimulus(picture):
             refuse(sidecar, output.verb)
+        if is_own and _is_edited(sidecar, relative_name(sidecar, output.folder), recorded):
+            raise BadInput(
+                f"{sidecar} was changed since it was written, such as by a note, and would be replaced. Keep notes in "
+                f"a file of your own, and move {sidecar.name} away, or choose another output"
+            )
     return begun
 
 
@@ -229,6 +236,13 @@ def _is_sidecar(path: Path) -> bool:
     return _object(path).get("format") == STIMULUS.format or _start(path).startswith(SIDECAR_START.encode())
 
 
+def _is_edited(sidecar: Path, name: str, recorded: Any) -> bool:
+    """Return whether a whole sidecar is neither the recorded one nor, by its own digests, as it was written."""
+    if isinstance(recorded, Mapping) and recorded.get(name) == digest_of_file(sidecar):
+        return False
+    return bool(_object(sidecar)) and not is_as_written(sidecar)
+
+
 def _start(path: Path) -> bytes:
     return _read(path, 0)
 
@@ -262,7 +276,16 @@ def _object(path: Path) -> dict[str, Any]:
 
 
 def _remove_unfinished(output: Output) -> None:
-    """Remove the temporary files of killed runs with names of the output, and all in the output's own folders."""
+    """Remove the temporary files of killed runs: with names of the output, and all in folders that it alone writes.
+
+    A run that was killed in this folder, perhaps of another verb, has left its mark, and all goes. But other runs may
+    be writing single files here: their marks come before their temporary files.
+    """
+    if output.is_folder and output.mark.stat().st_size:
+        found = list(storage.unfinished_in(output.folder))
+        if not any(output.folder.glob(f".*{MARK_NAME}")):  # `.NAME.writing.json`
+            for path in found:
+                path.unlink(missing_ok=True)
     names: dict[Path, set[str]] = {}
     for path in output.written:
         if path.is_dir():

@@ -215,6 +215,16 @@ def _kept(path: Path, sidecar: Path, drawing: Drawing, made_from: str) -> dict[s
         return None  # incomplete or damaged
 
 
+def is_as_written(sidecar: Path) -> bool:
+    """Return whether a sidecar has the text and the digest of its entries with which `make_stimulus` writes it."""
+    try:
+        document = read_stimulus_sidecar(sidecar)
+    except UnreadableFile:
+        return False
+    same_text = sidecar.read_text(encoding="utf-8") == sidecar_text(document)
+    return same_text and made_from_of(document) == document["made_from_sha256"]
+
+
 def quality_of(model: MorphModel, drawing: Drawing, drawn: Drawn) -> dict[str, Any]:
     """Return the sidecar's `quality`: clipped values, folds, and distance from the mean face."""
     tables = [

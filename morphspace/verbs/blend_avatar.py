@@ -118,10 +118,11 @@ def run(request: BlendAvatarRequest) -> Steps[Outcome]:
     from morphspace.outcome import Outcome
     from morphspace.report.avatar_page import avatar_page, avatar_result, blend_lines, landmark_words
     from morphspace.sets.models import held_models
-    from morphspace.sets.outputs import Output, check_file
+    from morphspace.sets.outputs import Output, check_file, check_work_folder
     from morphspace.sets.protect import writing
     from morphspace.storage import digest_of_file, write_text
 
+    check_work_folder(request.work_folder)
     paths = [Path(given) for given in request.models]
     check_file(request.output, SUFFIX)
     report = request.report or request.output.with_suffix(".html")

@@ -87,9 +87,10 @@ def run(request: BuildModelRequest) -> Steps[Outcome]:
     from morphspace.outcome import Outcome
     from morphspace.report.advice.build import advice_for
     from morphspace.sets.models import build_document, build_lines, written_model
-    from morphspace.sets.outputs import Output, check_file
+    from morphspace.sets.outputs import Output, check_file, check_work_folder
     from morphspace.sets.protect import writing
 
+    check_work_folder(request.work_folder)
     settings = settings_in(request, ClipSettings)
     clip = open_clip(request.sources, clip_options(request))
     output = request.output or Path(f"{clip.name}.morph")

@@ -83,7 +83,7 @@ def test_another_container_is_no_result(tmp_path):
 
 def test_forgetting_removes_results_and_no_other_files(kept):
     folder = kept.parent
-    for name in (f".{kept.stem}.2gaer3l7.kept", ".morphs.a_b4c5d6.kept"):
+    for name in (f".{kept.stem}.morphspace-2gaer3l7.kept", ".morphs.morphspace-a_b4c5d6.kept"):
         (folder / name).touch()
     (folder / "notes.txt").write_text("mine")
     (folder / "mine.kept").write_text("mine")
@@ -125,8 +125,8 @@ def test_files_of_a_killed_run_are_removed_and_those_of_a_running_one_stay(tmp_p
     folder = tmp_path / "mine"
     folder.mkdir()
     left, written, note = (
-        folder / ".0257b168.2gaer3l7.kept",
-        folder / ".0257b168.3gaer3l7.kept",
+        folder / ".0257b168.morphspace-2gaer3l7.kept",
+        folder / ".0257b168.morphspace-3gaer3l7.kept",
         folder / ".note",
     )
     for path in (left, written, note):

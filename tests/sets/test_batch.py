@@ -166,7 +166,9 @@ def test_what_is_made_is_kept_and_what_is_missing_or_broken_is_made_again(lab, t
     (out / "ann" / "f1_g1.json").unlink()
     (out / "bob" / "f0_g1.png").write_bytes((out / "bob" / "f0_g1.png").read_bytes()[:-9])
     (out / "manifest.csv").unlink()
-    (out / "bob" / ".f0_g1.abcd1234.png").write_bytes(b"half")  # as a batch that was killed leaves it
+    (out / "bob" / ".f0_g1.morphspace-abcd1234.png").write_bytes(
+        b"half"
+    )  # as a batch that was killed leaves it
     (out / "bob" / ".mine.png").write_bytes(b"mine")
     made(path, out, workers=1)
     again = tree(out)

@@ -10,14 +10,18 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from morphspace import notebook
 from morphspace.errors import BadInput, UnwritableFile
 from morphspace.io.images import write_image
+from morphspace.io.stimulus_sidecars import sidecar_text
 from morphspace.io.tables import write_loadings_table
 from morphspace.outcome import write_record
-from morphspace.requests import OUTPUT, all_verbs
-from morphspace.sets.outputs import Output
+from morphspace.requests import OUTPUT, all_verbs, verb_named
+from morphspace.sets.marks import locked
+from morphspace.sets.outputs import Output, check_work_folder, set_output
 from morphspace.sets.protect import check_origins, writing
-from morphspace.storage import MARK_NAME, write_container, write_text
+from morphspace.steps import result_of
+from morphspace.storage import MARK_NAME, unfinished_in, whole_file, write_container, write_text
 
 
 def bytes_of(folder):
@@ -146,6 +150,11 @@ def test_a_folder_with_the_name_of_a_file_is_refused(tmp_path):
         complete(folder_output(tmp_path))
 
 
+def run_verb(verb, **given):
+    found = verb_named(verb)
+    return result_of(found.run(found.request(**given)))
+
+
 def single(path, verb="encode"):
     return Output(verb, path, [path])
 
@@ -205,8 +214,8 @@ def run_until_killed(folder, then):
         folder = Path({str(folder)!r})
         with writing(Output("mimic", folder, [folder / "frames", folder / "table.csv", folder / "record.json"])):
             write_text(folder / "table.csv", "half done")
-            (folder / ".table.abcdefgh.csv").write_bytes(b"unfinished")
-            (folder / ".other.abcdefgh.csv").write_bytes(b"of another program")
+            (folder / ".table.morphspace-abcdefgh.csv").write_bytes(b"unfinished")
+            (folder / ".table.abcdefgh.csv").write_bytes(b"of another program")
             print("inside", flush=True)
             {then}
     """
@@ -226,7 +235,7 @@ def test_a_killed_run_is_recognised_and_its_unfinished_files_go(tmp_path):
         "frames/one.txt",
         "table.csv",
         "record.json",
-        ".other.abcdefgh.csv",
+        ".table.abcdefgh.csv",
     }
 
 
@@ -285,3 +294,124 @@ def test_a_picture_that_cannot_be_read_is_drawn_again_and_one_put_in_its_place_s
     write_image(picture, np.ones((4, 4, 3), np.float32))
     with pytest.raises(BadInput, match="changed since"):
         check_origins(output)
+
+
+def test_whole_files_have_temporary_names_that_are_recognised(tmp_path):
+    with whole_file(tmp_path / "a table of loadings with quite a long name of its own.csv") as temporary:
+        assert list(unfinished_in(tmp_path)) == [temporary]
+        assert ".morphspace-" in temporary.name and temporary.suffix == ".csv"
+    assert not list(unfinished_in(tmp_path))
+
+
+def stimuli_of(folder, names=("a", "b")):
+    return [(folder / f"{name}.png", folder / f"{name}.json") for name in names]
+
+
+def test_what_a_killed_run_of_another_verb_left_unfinished_goes_unless_others_write_here(tmp_path):
+    hidden = tmp_path / ".pc001_+1sd.morphspace-abcdefgh.png"
+    first = set_output("sweep", tmp_path, [])
+    with locked(first) as mark:
+        mark.begin({})
+        hidden.write_bytes(b"half")
+        (tmp_path / ".mine.png").write_bytes(b"mine")
+    with writing(single(tmp_path / "t.csv")), writing(set_output("sample", tmp_path, [])):
+        assert hidden.exists()  # it may be that of the other run
+    with locked(first) as mark:
+        mark.begin({})
+    with writing(set_output("sample", tmp_path, [])):
+        pass
+    assert set(bytes_of(tmp_path)) == {".mine.png"}
+
+
+@pytest.fixture
+def drawn(model, tmp_path):
+    """The output of a set of two stimuli, drawn with its record, and the function that draws it again."""
+    model.save(tmp_path / "m.morph")
+    verb = verb_named("sample")
+
+    def draw(seed=1):
+        given = {"model": tmp_path / "m.morph", "output": tmp_path / "set", "count": 2, "seed": seed}
+        return result_of(verb.run(verb.request(**given)))
+
+    draw()
+    return tmp_path / "set", draw
+
+
+def edited(sidecar, change):
+    document = json.loads(sidecar.read_text())
+    change(document)
+    sidecar.write_text(sidecar_text(document))
+
+
+@pytest.mark.parametrize("has_record", [True, False])
+@pytest.mark.parametrize(
+    "change",
+    [
+        lambda document: document.update(note="the best of all"),
+        lambda document: document.update(consent="withdrawn"),
+        lambda document: document["drawing"]["variables"].update(rating=5),
+    ],
+)
+def test_an_edited_sidecar_is_refused_and_stays(drawn, change, has_record):
+    folder, draw = drawn
+    if not has_record:
+        (folder / "record.json").unlink()
+        (folder / "manifest.csv").unlink()
+        for path in folder.glob("*.json"):
+            if not path.name.startswith("sample"):
+                path.unlink()
+        (folder / "index.html").unlink()
+        (folder / "loadings.csv").unlink()
+    edited(folder / "sample_0001.json", change)
+    before = bytes_of(folder)
+    for seed in (1, 2):
+        with pytest.raises(
+            BadInput, match=r"sample_0001\.json was changed since it was written.*Keep notes in a file"
+        ):
+            draw(seed)
+    assert bytes_of(folder) == before
+    (folder / "sample_0001.json").unlink()
+    draw(2)
+
+
+def test_a_sidecar_in_other_words_is_an_edited_one(drawn):
+    folder, draw = drawn
+    path = folder / "sample_0000.json"
+    path.write_text(json.dumps(json.loads(path.read_text())))
+    with pytest.raises(BadInput, match="was changed since"):
+        draw(2)
+
+
+def test_unedited_sidecars_are_replaced_also_those_that_a_stopped_run_has_replaced(drawn):
+    folder, draw = drawn
+    before = bytes_of(folder)
+    draw(2)
+    after = bytes_of(folder)
+    assert before["sample_0000.json"] != after["sample_0000.json"]
+    (folder / "record.json").write_bytes(before["record.json"])  # as if stopped before its record
+    (folder / "manifest.csv").write_bytes(before["manifest.csv"])
+    for name in ("index.html", "manifest.json", "loadings.csv", "loadings.json"):
+        if name in before:
+            (folder / name).write_bytes(before[name])
+    draw(3)
+
+
+@pytest.mark.parametrize("content", ["clip.json", "a.png", "take.mp4", "frames/a.jpg"])
+def test_a_work_folder_is_no_clip(tmp_path, content):
+    (tmp_path / "work" / content).parent.mkdir(parents=True)
+    (tmp_path / "work" / content).write_bytes(b"x")
+    for check in (
+        lambda: check_work_folder(tmp_path / "work"),
+        lambda: notebook._work_folder(tmp_path / "work"),
+        lambda: run_verb("build-model", sources="actor", output="m.morph", work_folder=tmp_path / "work"),
+        lambda: run_verb(
+            "blend-avatar", models="a.morph;b.morph", output="m.morph", work_folder=tmp_path / "work"
+        ),
+    ):
+        with pytest.raises(BadInput, match=r"the work folder .*work is a clip \(it holds"):
+            check()
+    check_work_folder(None)
+    check_work_folder(tmp_path / "nowhere")
+    (tmp_path / "other").mkdir()
+    (tmp_path / "other" / "ab.kept").write_bytes(b"x")
+    check_work_folder(tmp_path / "other")

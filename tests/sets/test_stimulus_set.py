@@ -179,7 +179,8 @@ def test_what_is_done_is_kept_and_what_is_not_is_made(folder, pictures, tmp_path
     names = [row["name"] for row in rows_of(output)]
     (output / f"{names[1]}.json").unlink()  # killed before its sidecar
     (output / f"{names[2]}.png").write_bytes(b"cut short")
-    (output / f"{names[3]}.json").write_text('{"format": "morphspace-stimulus", "version": 1}')
+    cut = output / f"{names[3]}.json"
+    cut.write_bytes(cut.read_bytes()[:-9])
     drawn = []
     draw = importlib.import_module("morphspace.sets.stimulus").draw_file
     monkeypatch.setattr(
@@ -561,14 +562,19 @@ def damaged(text):
     yield text[: len(text) // 2]
     yield text[:-3]
     yield "\0" * len(text)
+    yield "[" + text
+    yield text.replace('"statistics": {', '"statistics": [', 1)
+    yield text.replace('"size": [', '"size": "', 1)
+
+
+def changed(text):
+    """Give a sidecar's text as a user may have edited it; a disk seldom changes it so."""
     yield text.replace('"format"', '"fosmat"')
     yield text.replace('"luminance"', '"luminanca"')
     yield text.replace('"largest_component"', '"largest_componenu"')
     yield text.replace('"research"', '"researcj"')
-    yield text.replace('"statistics": {', '"statistics": [', 1)
-    yield text.replace('"size": [', '"size": "', 1)
     yield text.replace('"version": 1', '"version": 3')
-    yield "[" + text
+    yield text.replace("{", '{"note": "the best of all",', 1)
 
 
 def test_a_damaged_sidecar_is_made_again(folder, tmp_path):
@@ -583,6 +589,19 @@ def test_a_damaged_sidecar_is_made_again(folder, tmp_path):
     sidecar.write_bytes(b"\xff\xfe")
     made(folder, tmp_path, gains=(1.0,), frames=("frame_001",))
     assert bytes_of(tmp_path) == whole
+
+
+def test_a_changed_sidecar_is_refused_and_stays(folder, tmp_path):
+    made(folder, tmp_path, gains=(1.0,), frames=("frame_001",))
+    sidecar = tmp_path / "frame_001_g1.json"
+    whole = sidecar.read_text(encoding="utf-8")
+    for text in changed(whole):
+        assert text != whole
+        sidecar.write_text(text, encoding="utf-8")
+        before = bytes_of(tmp_path)
+        with pytest.raises(BadInput, match=r"frame_001_g1\.json (was changed since|is a file)"):
+            made(folder, tmp_path, gains=(1.0,), frames=("frame_001",))
+        assert bytes_of(tmp_path) == before
 
 
 def test_a_cut_sidecar_without_its_picture_is_ours_by_its_start_and_another_is_refused(folder, tmp_path):

@@ -814,7 +814,8 @@ def test_what_a_killed_run_left_unfinished_goes_and_other_settings_take_all_of_i
     for step in steps:
         if step.stage == "mimic" and step.done == 5:
             steps.close()
-    for name in ("frames/.frame_007.q9dmwn9r.png", "mimic.work/.abc.0_x9y8zz.json", ".index.q9dmwn9r.html"):
+    ours = ("frames/.frame_007.{}.png", "mimic.work/.abc.{}.json", ".index.{}.html")
+    for name in (one.format("morphspace-q9dm_n9r") for one in ours):
         (work / "out" / name).write_bytes(b"half")
     (work / "out" / ".mine.png").write_bytes(b"mine")
     run(work, gain=0.5)
