@@ -171,6 +171,17 @@ def test_a_recursive_smoother_has_the_impulse_response_of_one_global_round(stren
     assert_allclose(found, np.outer(line, line), rtol=0, atol=1e-6)
 
 
+@pytest.mark.parametrize(("at_32_px", "is_seen"), [(3e-7, True), (5e-8, False)])
+def test_a_pixel_has_an_effect_down_to_a_ten_millionth(ours, at_32_px, is_seen):
+    """LEAST_COUPLING: the share that remains 32 px away decides about pixels farther away."""
+    pole = at_32_px ** (1 / 32)
+    dot = np.zeros((1, 1, 64), np.float32)
+    dot[..., 0] = 1
+    flat = ours.planes(np.zeros_like(dot))
+    found = ours.numpy(ours.recursive_smoother(flat, pole / (1 - pole) ** 2, 10.0)(ours.planes(dot)))
+    assert (found[0, 0, 40] > 0) == is_seen
+
+
 def test_a_recursive_smoother_stops_at_a_step_of_its_guide():
     guide = np.zeros((1, 40, 60), np.float32)
     guide[..., 30:] = 120
