@@ -66,6 +66,13 @@ def pair_model(
     ------
     BadInput
         If a model has no keypoints, the sizes differ, or both show the same face.
+
+    Examples
+    --------
+    >>> import morphspace as ms
+    >>> pair = pair_model([ms.load("anna.morph"), ms.load("ben.morph")], flow="dis", inputs={}, versions={})
+    >>> pair.model.rank
+    1
     """
     if len(models) != 2:
         raise BadInput(f"{len(models)} models make no pair: give 2")

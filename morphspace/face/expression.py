@@ -61,12 +61,28 @@ def expression_of(face: FacePoints) -> Expression:
 
 
 def mouth_opening(inner_lips: Points) -> float:
-    """Measure the distance between the lips' inner edges in the middle, px, on the ring of inner lips (20, 2) px."""
+    """Measure the distance between the lips' inner edges in the middle, px, on the ring of inner lips (20, 2) px.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> turn = np.linspace(0, 2 * np.pi, 20, endpoint=False)
+    >>> round(mouth_opening(np.column_stack([-10 * np.cos(turn), 4 * np.sin(turn)])), 2)
+    8.0
+    """
     return _middle_gap(inner_lips, 1)
 
 
 def lid_opening(lids: Points) -> float:
-    """Measure the distance between the lids of one eye in the middle, px, on its ring of lids (16, 2) px."""
+    """Measure the distance between the lids of one eye in the middle, px, on its ring of lids (16, 2) px.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> y = np.array([0, *[-2] * 7, 0, *[2] * 7])
+    >>> lid_opening(np.column_stack([np.zeros(16), y]))
+    4.0
+    """
     return _middle_gap(lids, LID_PAIRS)
 
 

@@ -94,7 +94,15 @@ class Frame:
 
 
 def aligned(image: Image, name: str, registration: Affine) -> Frame:
-    """Align a frame with the reference: aligned(p) = image(registration p)."""
+    """Align a frame with the reference: aligned(p) = image(registration p).
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> picture = np.random.default_rng(1).random((4, 5, 3)).astype(np.float32)
+    >>> np.allclose(aligned(picture, "one", identity_affine()).image, picture, atol=1e-6)
+    True
+    """
     if np.array_equal(registration, identity_affine()):
         return Frame(image, name, registration)
     height, width = image.shape[:2]
@@ -104,5 +112,11 @@ def aligned(image: Image, name: str, registration: Affine) -> Frame:
 
 
 def identity_affine() -> Affine:
-    """Return the identity as an affine (2, 3)."""
+    """Return the identity as an affine (2, 3).
+
+    Examples
+    --------
+    >>> identity_affine().tolist()
+    [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0]]
+    """
     return np.eye(2, 3)

@@ -72,12 +72,26 @@ NEXT_TO_MASK = 0.05  # how far around the mask motion still follows the face
 
 
 def face_mask(height: int, width: int, faceframe: FaceFrame | None = None) -> Mask:
-    """Return a soft ellipse over the face, (h, w): placed by the faceframe, or else for a cropped face."""
+    """Return a soft ellipse over the face, (h, w): placed by the faceframe, or else for a cropped face.
+
+    Examples
+    --------
+    >>> mask = face_mask(72, 60)
+    >>> mask.shape, mask[37, 30].item(), mask[0, 0].item()
+    ((72, 60), 1.0, 0.0)
+    """
     return _soft_ellipse(height, width, FACE_ELLIPSE, FACE_FROM_FACEFRAME, faceframe)
 
 
 def rigid_region(height: int, width: int, faceframe: FaceFrame | None = None) -> Mask:
-    """Return a soft ellipse from brow to nose, the part that moves with the skull, (h, w)."""
+    """Return a soft ellipse from brow to nose, the part that moves with the skull, (h, w).
+
+    Examples
+    --------
+    >>> region = rigid_region(72, 60)
+    >>> region[34, 30].item(), region[60, 30].item()
+    (1.0, 0.0)
+    """
     return _soft_ellipse(height, width, RIGID_ELLIPSE, RIGID_FROM_FACEFRAME, faceframe)
 
 
@@ -85,6 +99,12 @@ def mouth_surroundings(height: int, width: int, faceframe: FaceFrame | None = No
     """Return a soft ellipse over all positions of an open or closed mouth in a clip, (h, w).
 
     It is wider than the part "mouth" of `region_mask`, which surrounds the lips of one mean face.
+
+    Examples
+    --------
+    >>> region = mouth_surroundings(72, 60)
+    >>> region[55, 30].item(), region[34, 30].item()
+    (1.0, 0.0)
     """
     return _soft_ellipse(height, width, MOUTH_ELLIPSE, MOUTH_FROM_FACEFRAME, faceframe)
 
@@ -188,6 +208,14 @@ def mask_on_mean(drawn: Mask | None, mean_inverse: Displacement, faceframe: Face
     ------
     BadInput
         If the mask is 0 everywhere.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> drawn = np.zeros((4, 4))
+    >>> drawn[1:3, 1:3] = 1
+    >>> mask_on_mean(drawn, np.zeros((4, 4, 2), np.float32), None).sum().item()
+    4.0
     """
     if drawn is None:
         height, width = mean_inverse.shape[:2]
@@ -249,13 +277,31 @@ def skin_share(points: Points, texture: Image, mask: Mask) -> Mask:
 
 
 def lips_region(lips: Points, height: int, width: int) -> Mask:
-    """Draw a soft mask (h, w) of the lips and what lies between them, from points (m, 2) px on the lips."""
+    """Draw a soft mask (h, w) of the lips and what lies between them, from points (m, 2) px on the lips.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> region = lips_region(np.array([[20.0, 50], [40, 50], [30, 60]]), 72, 60)
+    >>> round(region[53, 30].item(), 2), region[20, 30].item()
+    (1.0, 0.0)
+    """
     mouth = _polygon(cv2.convexHull(lips.astype(np.float32))[:, 0], height, width)
     return _blurred(cv2.dilate(mouth, _disc(AROUND_LIPS * width)), LIPS_EDGE * width)
 
 
 def widened(mask: Mask) -> Mask:
-    """Widen and soften a mask (h, w): 1 inside, falling to 0 at some distance."""
+    """Widen and soften a mask (h, w): 1 inside, falling to 0 at some distance.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> mask = np.zeros((40, 40), np.float32)
+    >>> mask[15:25, 15:25] = 1
+    >>> wide = widened(mask)
+    >>> wide[20, 20].item(), wide[20, 14].item() > 0.5, wide[0, 0].item()
+    (1.0, True, 0.0)
+    """
     sd_px = NEXT_TO_MASK * mask.shape[1]
     side = 2 * round(sd_px) + 1
     wide = cv2.dilate(mask, cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (side, side)))

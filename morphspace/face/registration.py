@@ -61,6 +61,14 @@ def register(
     ------
     BadInput
         If the movement is not finite.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> picture = np.random.default_rng(1).random((60, 60, 3)).astype(np.float32)
+    >>> found = register(picture, picture, "similarity", np.ones((60, 60), np.float32))
+    >>> np.allclose(found, np.eye(2, 3), atol=0.01)
+    True
     """
     return Registration(reference, kind, region).of(image, start)
 

@@ -22,7 +22,14 @@ LUMA = np.array([0.299, 0.587, 0.114], np.float32)  # ITU-R BT.601
 
 
 def grey_codes(image: Image) -> AnyArray:
-    """Return the luma of an image (h, w, 3) as (h, w) uint8, the input of OpenCV's estimators."""
+    """Return the luma of an image (h, w, 3) as (h, w) uint8, the input of OpenCV's estimators.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> grey_codes(np.full((1, 2, 3), 0.5, np.float32)).tolist()
+    [[128, 128]]
+    """
     return np.clip(image @ LUMA * 255 + 0.5, 0, 255).astype(np.uint8)
 
 
@@ -57,6 +64,13 @@ def dis_medium(reference: Image, frame: Image, start: Displacement | None = None
     """Estimate the flow by dense inverse search with OpenCV's preset "medium".
 
     Registration, the search for the reference and the benchmarks use it; `--flow` does not offer it.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> picture = np.random.default_rng(1).random((40, 40, 3)).astype(np.float32)
+    >>> bool(np.abs(dis_medium(picture, picture)).max() < 0.1)
+    True
     """
     estimator = cv2.DISOpticalFlow.create(cv2.DISOPTICAL_FLOW_PRESET_MEDIUM)
     return _searched(estimator, reference, frame, start)
@@ -77,7 +91,16 @@ def tvl1(reference: Image, frame: Image, start: Displacement | None = None) -> D
 
 
 def smoothed(field: Displacement) -> Displacement:
-    """Smooth a field (h, w, 2) px by a Gaussian of `SMOOTHING` times its width, mirrored at the edge."""
+    """Smooth a field (h, w, 2) px by a Gaussian of `SMOOTHING` times its width, mirrored at the edge.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> spike = np.zeros((100, 100, 2), np.float32)
+    >>> spike[50, 50] = 1
+    >>> round(smoothed(spike)[..., 0].sum().item(), 3), smoothed(spike).max().item() < 0.1
+    (1.0, True)
+    """
     sd_px = SMOOTHING * field.shape[1]
     out: Displacement = cv2.GaussianBlur(field, (0, 0), sd_px, borderType=cv2.BORDER_REFLECT_101)
     return out

@@ -95,6 +95,13 @@ def for_morphs(name: str) -> FlowMethod:
 
     Noise in a field enters a morph twice, in the warp and in the texture that compensates for it. A flow that is
     wanted for itself is not smoothed.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> flow = for_morphs("dis")(np.zeros((48, 40, 3), np.float32))(np.zeros((48, 40, 3), np.float32), None)
+    >>> flow.displacement.shape, float(np.abs(flow.displacement).max())
+    ((48, 40, 2), 0.0)
     """
     method = named(name)
 

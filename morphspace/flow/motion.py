@@ -157,6 +157,13 @@ def motion(
     References
     ----------
     Johnston, McOwan and Benton, Proc. R. Soc. B 266, 1999; the module's steps say which parts are ours.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> moving = 0.6 * (np.arange(32) - 0.5 * np.arange(24)[:, None, None]) * np.ones((1, 32, 1))  # 0.5 px a frame
+    >>> motion(0.5 + 0.4 * np.sin(moving)).velocity[12, 16, 16, 0].round(2).item()
+    0.5
     """
     _check(clip)
     if not (

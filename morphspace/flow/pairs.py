@@ -113,12 +113,26 @@ def checked_start(start: Displacement, height: int, width: int) -> Displacement:
 
 
 def is_featureless(image: Image) -> bool:
-    """Return whether an image (h, w, 3) has one colour, to half an 8-bit code, so that no flow can be found."""
+    """Return whether an image (h, w, 3) has one colour, to half an 8-bit code, so that no flow can be found.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> is_featureless(np.full((4, 4, 3), 0.5)), is_featureless(np.eye(4)[..., None] * np.ones(3))
+    (True, False)
+    """
     return float((image.max(axis=(0, 1)) - image.min(axis=(0, 1))).max()) < LEAST_CONTRAST
 
 
 def is_grey(image: Image) -> bool:
-    """Return whether the three channels of an image (h, w, 3) are equal, to half an 8-bit code."""
+    """Return whether the three channels of an image (h, w, 3) are equal, to half an 8-bit code.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> is_grey(np.full((2, 2, 3), 0.5)), is_grey(np.full((2, 2, 3), [0.5, 0.4, 0.3]))
+    (True, False)
+    """
     return float((image.max(axis=2) - image.min(axis=2)).max()) < LEAST_CONTRAST
 
 

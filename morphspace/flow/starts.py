@@ -81,6 +81,16 @@ def better(reference: Image, frame: Image, candidates: Sequence[Flow], mask: Mas
     Another candidate replaces it only if it folds within `FOLD_LIMIT` inside the mask (or no more than the first, if
     that folds more) and its error is below `CLEARLY` times the first's. If the first exceeds the limit and the other
     does not, an equal error is enough.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> shifted = np.full((8, 8, 2), [1.0, 0.0], np.float32)
+    >>> frame = np.tile(np.linspace(0, 1, 8, dtype=np.float32)[:, None], (8, 1, 3))
+    >>> flows = [Flow(field, np.ones((8, 8), np.float32)) for field in (0 * shifted, shifted)]
+    >>> reference = warp.sample(frame, shifted)
+    >>> better(reference, frame, flows, np.ones((8, 8), np.float32)) is flows[1]
+    True
     """
     first = candidates[0]
     standing = photometric_error(reference, frame, first.displacement, mask)
@@ -251,7 +261,14 @@ def hard_frames(errors: AnyArray, folds: AnyArray) -> AnyArray:
 
 
 def easier_neighbour(errors: AnyArray, index: int) -> int:
-    """Return which of the frames before and after frame `index` has the smaller error, of errors (n,) with n >= 2."""
+    """Return which of the frames before and after frame `index` has the smaller error, of errors (n,) with n >= 2.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> easier_neighbour(np.array([0.3, 0.9, 0.1]), 1)
+    2
+    """
     near = [other for other in (index - 1, index + 1) if 0 <= other < len(errors)]
     return min(near, key=lambda other: float(errors[other]))
 
@@ -285,7 +302,14 @@ class Pair:
 
 
 def as_grey(image: Image) -> Image:
-    """Return the luma of an image (h, w, 3) in all three channels."""
+    """Return the luma of an image (h, w, 3) in all three channels.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> as_grey(np.full((1, 1, 3), [0.0, 1.0, 0.0])).round(3).tolist()
+    [[[0.587, 0.587, 0.587]]]
+    """
     return np.repeat((image @ LUMA)[..., None], 3, axis=2)
 
 

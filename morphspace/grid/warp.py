@@ -60,7 +60,15 @@ def sample(image: Image, displacement: Displacement) -> Image:
 
 
 def sample_at(image: Image, x: AnyArray, y: AnyArray) -> Image:
-    """Read an image (H, W, c) or (H, W) at the points (x, y) px, arrays of one shape (h, w), as `sample` does."""
+    """Read an image (H, W, c) or (H, W) at the points (x, y) px, arrays of one shape (h, w), as `sample` does.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> image = np.array([[0.0, 2.0], [4.0, 6.0]], np.float32)
+    >>> sample_at(image, np.array([[0.5]]), np.array([[1.0]])).round(3).tolist()
+    [[5.0]]
+    """
     _check_positions(x, y)
     if image.ndim == 2:
         return spline_reader([image])(x, y)[0]
@@ -183,6 +191,14 @@ def sample_field(field: AnyArray, displacement: Displacement) -> AnyArray:
     ------
     BadInput
         If the displacement is not finite.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> right = np.zeros((1, 3, 2), np.float32)
+    >>> right[..., 0] = 0.5
+    >>> sample_field(np.float32([[0, 10, 30]]), right).tolist()
+    [[5.0, 20.0, 30.0]]
     """
     x, y = positions(displacement)
     _check_positions(x, y)
@@ -191,7 +207,15 @@ def sample_field(field: AnyArray, displacement: Displacement) -> AnyArray:
 
 
 def positions(displacement: Displacement) -> tuple[AnyArray, AnyArray]:
-    """Return p + u(p) as two arrays (h, w) float32, x and y in px: Nagle's absolute coding of a warp (section 2)."""
+    """Return p + u(p) as two arrays (h, w) float32, x and y in px: Nagle's absolute coding of a warp (section 2).
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> x, y = positions(np.full((1, 2, 2), 0.5, np.float32))
+    >>> x.tolist(), y.tolist()
+    ([[0.5, 1.5]], [[0.5, 0.5]])
+    """
     height, width = displacement.shape[:2]
     x = displacement[..., 0] + np.arange(width, dtype=np.float32)
     y = displacement[..., 1] + np.arange(height, dtype=np.float32)[:, None]
@@ -271,6 +295,14 @@ def invert(displacement: Displacement) -> Displacement:
     ------
     BadInput
         If the displacement is not finite.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> to_right = np.zeros((5, 5, 2), np.float32)
+    >>> to_right[..., 0] = 1.5
+    >>> invert(to_right)[2, 2].tolist()
+    [-1.5, 0.0]
     """
     _check_positions(displacement[..., 0], displacement[..., 1])
     displacement = displacement.astype(np.float32, copy=False)
@@ -311,6 +343,14 @@ def determinants(displacement: Displacement) -> AnyArray:
     """Return the smaller determinant of each cell's two triangles, (h - 1, w - 1).
 
     It is 1 without a displacement, and <= 0 where the field folds.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> wider = np.zeros((2, 2, 2), np.float32)
+    >>> wider[:, 1, 0] = 1
+    >>> determinants(wider).tolist()
+    [[2.0]]
     """
     x, y = displacement[..., 0], displacement[..., 1]
     ab_x, ab_y = x[:, 1:] - x[:, :-1], y[:, 1:] - y[:, :-1]
@@ -325,14 +365,31 @@ def determinants(displacement: Displacement) -> AnyArray:
 
 
 def fold_fraction(displacement: Displacement, mask: Mask) -> float:
-    """Return the share of folded grid cells, of those whose upper left corner lies inside the mask (> 0.5)."""
+    """Return the share of folded grid cells, of those whose upper left corner lies inside the mask (> 0.5).
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> mirrored = np.zeros((3, 3, 2), np.float32)
+    >>> mirrored[..., 0] = [2, 0, -2]
+    >>> fold_fraction(mirrored, np.ones((3, 3), np.float32))
+    1.0
+    """
     inside = mask[:-1, :-1] > 0.5
     cells = int(inside.sum())
     return float((determinants(displacement)[inside] <= 0).sum() / cells) if cells else 0.0
 
 
 def affine_displacement(affine: Affine, height: int, width: int) -> Displacement:
-    """Return the field u with p + u(p) = A p + t on a grid of (height, width) px, (h, w, 2) px."""
+    """Return the field u with p + u(p) = A p + t on a grid of (height, width) px, (h, w, 2) px.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> twice = np.array([[2.0, 0, 0], [0, 2, 0]])
+    >>> affine_displacement(twice, 2, 3)[1, 2].tolist()
+    [2.0, 1.0]
+    """
     x, y = np.arange(width, dtype=np.float64), np.arange(height, dtype=np.float64)[:, None]
     linear = affine[:, :2] - np.eye(2)
     out = np.empty((height, width, 2), np.float32)
@@ -342,13 +399,28 @@ def affine_displacement(affine: Affine, height: int, width: int) -> Displacement
 
 
 def inverse_affine(affine: Affine) -> Affine:
-    """Invert an affine (2, 3)."""
+    """Invert an affine (2, 3).
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> inverse_affine(np.array([[2.0, 0, 6], [0, 2, 0]])).tolist()
+    [[0.5, 0.0, -3.0], [0.0, 0.5, 0.0]]
+    """
     linear = np.linalg.inv(affine[:, :2])
     return np.column_stack([linear, -linear @ affine[:, 2]])
 
 
 def chain_affine(outer: Affine, inner: Affine) -> Affine:
-    """Compose two affines (2, 3): `inner` first, then `outer`."""
+    """Compose two affines (2, 3): `inner` first, then `outer`.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> twice, shift = np.array([[2.0, 0, 0], [0, 2, 0]]), np.array([[1.0, 0, 5], [0, 1, 0]])
+    >>> chain_affine(twice, shift).tolist()
+    [[2.0, 0.0, 10.0], [0.0, 2.0, 0.0]]
+    """
     return np.column_stack([outer[:, :2] @ inner[:, :2], outer[:, :2] @ inner[:, 2] + outer[:, 2]])
 
 
@@ -365,7 +437,16 @@ def apply_affine(affine: Affine, points: Points) -> Points:
 
 
 def move_points(displacement: Displacement, points: Points) -> Points:
-    """Move points (m, 2) px on the grid by a field (h, w, 2): p + u(p), with u read linearly."""
+    """Move points (m, 2) px on the grid by a field (h, w, 2): p + u(p), with u read linearly.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> down = np.zeros((4, 4, 2), np.float32)
+    >>> down[..., 1] = 0.5
+    >>> move_points(down, np.array([[1.0, 2.0]])).tolist()
+    [[1.0, 2.5]]
+    """
     x = points[None, :, 0].astype(np.float32)
     y = points[None, :, 1].astype(np.float32)
     height, width = displacement.shape[:2]

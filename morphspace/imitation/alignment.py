@@ -70,7 +70,15 @@ def align(one: LoadingTable, other: LoadingTable, *, band: float = BAND) -> Alig
 
 
 def cheapest_path(costs: AnyArray, *, band: float = BAND) -> Alignment:
-    """Find the path from the first to the last pair of frames with the least sum of costs (n, m), within the band."""
+    """Find the path from the first to the last pair of frames with the least sum of costs (n, m), within the band.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> found = cheapest_path(np.array([[0.0, 0.0, 1.0], [1.0, 1.0, 0.0]]))
+    >>> found.path.tolist(), found.cost
+    ([[0, 0], [0, 1], [1, 2]], 0.0)
+    """
     n, m = costs.shape
     slope = (m - 1) / max(n - 1, 1)
     reach = max(band * max(n, m), 1.0 + slope)
@@ -98,5 +106,12 @@ def cheapest_path(costs: AnyArray, *, band: float = BAND) -> Alignment:
 
 
 def distances(one: LoadingTable, other: LoadingTable) -> AnyArray:
-    """Return the distance of each row of one from each of the other, (n, m); exactly 0 for equal rows."""
+    """Return the distance of each row of one from each of the other, (n, m); exactly 0 for equal rows.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> distances(np.array([[0.0, 0.0]]), np.array([[3.0, 4.0], [0.0, 0.0]])).tolist()
+    [[5.0, 0.0]]
+    """
     return np.asarray(cdist(one, other))

@@ -67,6 +67,12 @@ def baseline_of(frames: int, permutations: int, seed: int) -> Baseline:
     """Choose the surrogates of an imitation of `frames` frames: at most `permutations` of each kind, by the seed.
 
     All circular shifts, 1 to frames - 1, are used if there are no more.
+
+    Examples
+    --------
+    >>> chosen = baseline_of(5, 100, seed=1)
+    >>> chosen.shifts.tolist(), chosen.copies
+    ([1, 2, 3, 4], 100)
     """
     every = np.arange(1, frames)
     rng = np.random.default_rng(seed)
@@ -80,7 +86,14 @@ def baseline_of(frames: int, permutations: int, seed: int) -> Baseline:
 
 
 def turned(sequence: LoadingTable, shifts: AnyArray) -> Iterator[AnyArray]:
-    """Yield the sequence (m, k) shifted circularly by each shift, in chunks (c, m, k)."""
+    """Yield the sequence (m, k) shifted circularly by each shift, in chunks (c, m, k).
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> next(turned(np.array([[1.0], [2.0], [3.0]]), np.array([1])))[0].tolist()
+    [[3.0], [1.0], [2.0]]
+    """
     some = _at_a_time(sequence)
     places = np.arange(len(sequence))
     for start in range(0, len(shifts), some):
@@ -94,6 +107,14 @@ def of_random_phases(sequence: LoadingTable, count: int, seed: int) -> Iterator[
     inverse transform. Otherwise the jump from the last to the first frame adds high frequencies to the surrogates,
     and smooth motions appear significant: 26 % of p below .05 for independent motions of 24 frames smoothed by 4,
     against 10 % with the extension; for 60 frames 12 and 6 %. A constant column is unchanged.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> motion = np.sin(np.arange(20.0))[:, None]
+    >>> (copies,) = of_random_phases(motion, 3, seed=1)
+    >>> copies.shape
+    (3, 20, 1)
     """
     rng = np.random.default_rng([seed, 1])  # independent of the shifts
     moving = centred(sequence)
@@ -110,6 +131,13 @@ def in_pieces(sequence: LoadingTable, count: int, seed: int) -> Iterator[AnyArra
     """Yield surrogates of the sequence (m, k) that is cut into `PIECES` at random places, in chunks (c, m, k).
 
     Each surrogate is first shifted circularly. Its pieces are joined in random order, each forwards or backwards.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> (copies,) = in_pieces(np.arange(10.0)[:, None], 1, seed=1)
+    >>> sorted(copies[0, :, 0].tolist()) == list(range(10))
+    True
     """
     rng = np.random.default_rng([seed, 2])
     frames = len(sequence)
@@ -166,6 +194,12 @@ def familywise(observed: AnyArray, null: AnyArray) -> AnyArray:
     References
     ----------
     Westfall and Young, Resampling-based multiple testing, 1993: single step.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> familywise(np.array([0.9, 0.2, 0.9]), np.array([[0.1, 0.5, 0.4], [0.3, 0.1, 0.2]])).round(2).tolist()
+    [0.33, 1.0, nan]
     """
     known = np.isfinite(null[:, :-1])
     best = np.where(known, null[:, :-1], -np.inf).max(axis=1, initial=-np.inf)

@@ -57,6 +57,13 @@ def entropy(x: AnyArray) -> float:
     References
     ----------
     Ebrahimi, Pflughoeft and Soofi, Two measures of sample entropy, Statistics and Probability Letters 20, 1994.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> x = np.random.default_rng(1).normal(size=200)
+    >>> bool(abs(entropy(2 * x) - entropy(x) - np.log(2)) < 1e-9)
+    True
     """
     from scipy.stats import differential_entropy  # here, because it is slow to import
 

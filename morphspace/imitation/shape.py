@@ -13,13 +13,27 @@ WINDOW_TOL = 1e-10  # relative to a column's sum of squares; rounding of running
 
 
 def varies(sequence: AnyArray) -> AnyArray:
-    """Return which columns of (..., n, k) are not constant, (..., k) bool."""
+    """Return which columns of (..., n, k) are not constant, (..., k) bool.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> varies(np.array([[1.0, 5.0], [2.0, 5.0]])).tolist()
+    [True, False]
+    """
     reach = np.abs(sequence).max(axis=-2)
     return np.asarray(np.ptp(sequence, axis=-2) > CONSTANT_TOL * reach)
 
 
 def centred(sequence: AnyArray) -> AnyArray:
-    """Subtract the mean over frames from each column of (..., n, k); a constant column becomes exactly 0."""
+    """Subtract the mean over frames from each column of (..., n, k); a constant column becomes exactly 0.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> centred(np.array([[1.0, 5.0], [3.0, 5.0]])).tolist()
+    [[-1.0, 0.0], [1.0, 0.0]]
+    """
     moving = varies(sequence)[..., None, :]
     return np.asarray(np.where(moving, sequence - sequence.mean(axis=-2, keepdims=True), 0.0))
 
@@ -39,14 +53,28 @@ def standardised(sequence: LoadingTable) -> LoadingTable:
 
 
 def ratio(above: AnyArray, below: AnyArray) -> AnyArray:
-    """Divide where the denominator is above 0; NaN elsewhere."""
+    """Divide where the denominator is above 0; NaN elsewhere.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> ratio(np.array([1.0, 1.0]), np.array([2.0, 0.0])).tolist()
+    [0.5, nan]
+    """
     out: AnyArray = np.full(np.shape(above), np.nan)
     np.divide(above, below, out=out, where=below > 0)
     return out
 
 
 def with_total(products: AnyArray) -> AnyArray:
-    """Append to the sums of each component (..., k) that of all, (..., k + 1)."""
+    """Append to the sums of each component (..., k) that of all, (..., k + 1).
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> with_total(np.array([1.0, 2.0])).tolist()
+    [1.0, 2.0, 3.0]
+    """
     return np.concatenate([products, products.sum(axis=-1, keepdims=True)], axis=-1)
 
 
@@ -75,6 +103,14 @@ def lag_curves(stimulus: LoadingTable, imitations: AnyArray) -> tuple[AnyArray, 
     At lag L, frame t of the stimulus is paired with frame t + L of the imitation; above 0 the imitation is later.
     Each correlation uses the overlap at its lag, at least `LEAST_OVERLAP` of the shorter sequence. The last column is
     that of all components together; NaN if one is constant.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> bump = np.array([[0.0], [1], [4], [1], [0], [0]])
+    >>> lags, curves = lag_curves(bump, np.roll(bump, 1, axis=0)[None])
+    >>> int(lags[curves[0, :, 0].argmax()])
+    1
     """
     n, m = len(stimulus), imitations.shape[1]
     overlap = max(LEAST_FRAMES, int(np.ceil(LEAST_OVERLAP * min(n, m))))
@@ -111,6 +147,13 @@ def peak(curve: AnyArray, lags: AnyArray) -> tuple[AnyArray, AnyArray]:
     """Return the lag (frames) and the height of the maximum of each column of a curve (L, k + 1).
 
     Equal maxima give the smallest lag; NaN if a column is undefined at all lags.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> lag, height = peak(np.array([[0.2], [0.9], [0.4]]), np.array([-1, 0, 1]))
+    >>> lag.tolist(), height.tolist()
+    ([0.0], [0.9])
     """
     order = np.argsort(np.abs(lags), kind="stable")
     known = np.isfinite(curve)

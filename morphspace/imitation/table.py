@@ -189,7 +189,13 @@ TEXTS = "name", "undefined"
 
 
 def component_names(count: int) -> list[str]:
-    """Return the names of the rows: the components, then all together."""
+    """Return the names of the rows: the components, then all together.
+
+    Examples
+    --------
+    >>> component_names(2)
+    ['pc001', 'pc002', 'all']
+    """
     return [*(f"pc{number:03d}" for number in range(1, count + 1)), ALL]
 
 
@@ -210,7 +216,14 @@ def reasons_of(comparison: Comparison, stimulus_sd: LoadingTable, imitation_sd: 
 
 
 def still_names(stimulus_sd: LoadingTable, imitation_sd: LoadingTable) -> dict[str, list[str]]:
-    """Return for stimulus and imitation the names of the components that are constant."""
+    """Return for stimulus and imitation the names of the components that are constant.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> still_names(np.array([[0.0, 1.0], [1.0, 1.0]]), np.array([[0.0, 1.0], [1.0, 2.0]]))
+    {'stimulus': ['pc002'], 'imitation': []}
+    """
     names = component_names(stimulus_sd.shape[1])
     return {
         role: [name for name, moves in zip(names, varies(values), strict=False) if not moves]
@@ -219,7 +232,15 @@ def still_names(stimulus_sd: LoadingTable, imitation_sd: LoadingTable) -> dict[s
 
 
 def still_words(stimulus_sd: LoadingTable, imitation_sd: LoadingTable) -> tuple[str, ...]:
-    """Return one line if the stimulus, the imitation or both are constant, else nothing."""
+    """Return one line if the stimulus, the imitation or both are constant, else nothing.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> moving = np.array([[0.0], [1.0], [3.0]])
+    >>> still_words(moving, 0 * moving)
+    ('the imitation does not move: correlation, gain, lag and alignment are undefined; the distance is 1.83 SD',)
+    """
     count = stimulus_sd.shape[1]
     names = [role for role, found in still_names(stimulus_sd, imitation_sd).items() if len(found) == count]
     if not names:

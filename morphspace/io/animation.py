@@ -71,6 +71,13 @@ def write_animation(path: Path, frames: Callable[[], Iterable[Image]], *, frame_
         If the suffix, the rate or an image is not possible.
     UnwritableFile
         If the folder or disk refuses the file.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> faces = [np.zeros((8, 8, 3), np.float32), np.ones((8, 8, 3), np.float32)]
+    >>> write_animation(Path("two.gif"), lambda: faces, frame_rate_hz=10.0)
+    0
     """
     suffix = path.suffix.lower()
     if suffix not in ANIMATION_SUFFIXES:

@@ -61,7 +61,14 @@ def frames_shown(count: int, times_s: Sequence[float] | AnyArray | None, rate_hz
 
 
 def sampled_at(values: AnyArray, positions: AnyArray) -> AnyArray:
-    """Interpolate rows (n, k) linearly at positions (m,) in frames, (m, k); whole positions give rows bit-equal."""
+    """Interpolate rows (n, k) linearly at positions (m,) in frames, (m, k); whole positions give rows bit-equal.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> sampled_at(np.array([[0.0], [10.0], [20.0]]), np.array([0.5, 2.0])).tolist()
+    [[5.0], [20.0]]
+    """
     before = np.floor(positions).astype(np.intp)
     after = np.minimum(before + 1, len(values) - 1)
     share = (positions - before)[:, None]
@@ -73,7 +80,15 @@ def sampled_at(values: AnyArray, positions: AnyArray) -> AnyArray:
 def evenly_sampled(
     name: str, values: AnyArray, times_s: Sequence[float] | AnyArray | None, rate_hz: float | None
 ) -> tuple[AnyArray, tuple[str, ...]]:
-    """Return rows (n, k) of frames with these times (n,), s, at even times, (m, k), and a note if they were uneven."""
+    """Return rows (n, k) of frames with these times (n,), s, at even times, (m, k), and a note if they were uneven.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> values, notes = evenly_sampled("smile", np.array([[0.0], [1.0], [3.0]]), [0.0, 0.1, 0.3], 10.0)
+    >>> values.ravel().round(6).tolist()
+    [0.0, 1.0, 2.0, 3.0]
+    """
     if times_s is None or rate_hz is None or is_even(times_s, rate_hz):
         return values, ()
     sampled = sampled_at(values, even_positions(times_s, rate_hz))

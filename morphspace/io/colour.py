@@ -26,7 +26,14 @@ def srgb_of_linear(linear: AnyArray) -> AnyArray:
 
 
 def linear_of_srgb(coded: AnyArray) -> AnyArray:
-    """Decode sRGB-coded values to linear light: the inverse of `srgb_of_linear`."""
+    """Decode sRGB-coded values to linear light: the inverse of `srgb_of_linear`.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> linear_of_srgb(np.array([0.0, 0.5, 1.0])).round(3).tolist()
+    [0.0, 0.214, 1.0]
+    """
     size = np.abs(coded)
     linear = np.where(size <= CODE_LIMIT, size / 12.92, ((size + 0.055) / 1.055) ** 2.4)
     return np.copysign(linear, coded).astype(coded.dtype)

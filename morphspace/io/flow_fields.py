@@ -65,6 +65,13 @@ def read_flow(path: str | Path) -> StoredFlow:
         If the file is missing, truncated, too long, of another format or of an impossible size.
     BadInput
         If the suffix or the channels are others, a value is not finite, or a confidence lies outside [0, 1].
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> write_flows({Path("one.flo"): (np.ones((2, 3, 2), np.float32), np.ones((2, 3), np.float32))})
+    >>> read_flow("one.flo").displacement[0, 0].tolist()
+    [1.0, 1.0]
     """
     path = Path(path)
     check_field_name(path)

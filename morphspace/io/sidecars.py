@@ -196,7 +196,14 @@ def read_sidecar(path: str | Path) -> Sidecar:
 
 
 def write_sidecar(path: str | Path, sidecar: Sidecar) -> None:
-    """Write a `clip.json`, completely or not at all, without entries that are None. Raises `UnwritableFile`."""
+    """Write a `clip.json`, completely or not at all, without entries that are None. Raises `UnwritableFile`.
+
+    Examples
+    --------
+    >>> write_sidecar("clip.json", Sidecar(identity="anna", frame_rate_hz=25.0))
+    >>> read_sidecar("clip.json").identity
+    'anna'
+    """
     given = {key: getattr(sidecar, key) for key in entries_of(ClipDocument)}
     if sidecar.faceframe is not None:
         given["faceframe"] = {"frame": sidecar.faceframe.image, **_point_entries(sidecar.faceframe)}

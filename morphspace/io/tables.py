@@ -125,6 +125,14 @@ def write_loadings_table(
         finite, or the times do not rise.
     UnwritableFile
         If the folder or disk refuses a file.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> about = {"model_id": "0" * 16, "identity": "anna"}
+    >>> write_loadings_table("two.csv", np.array([[0.5], [1.0]]), ["first", "second"], about)
+    >>> Path("two.csv").read_text().splitlines()[:2]
+    ['frame,pc001_sd', 'first,0.5']
     """
     path = _csv_path(path)
     loadings = np.asarray(loadings_sd, np.float64)
@@ -173,6 +181,14 @@ def read_loadings_table(path: str | Path) -> LoadingsTable:
         If a file cannot be read, or a stopped run may have left the two files of different runs.
     BadInput
         If an entry is wrong; the message names its row and column.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> about = {"model_id": "0" * 16, "identity": "anna"}
+    >>> write_loadings_table("two.csv", np.array([[0.5], [1.0]]), ["first", "second"], about)
+    >>> read_loadings_table("two.csv").loadings_sd.tolist()
+    [[0.5], [1.0]]
     """
     path = _csv_path(path)
     table = read_table(path)
@@ -239,6 +255,12 @@ def write_metrics_table(path: str | Path, columns: Mapping[str, Sequence[Any]]) 
         As `metrics_text`.
     UnwritableFile
         If the folder or disk refuses the file.
+
+    Examples
+    --------
+    >>> write_metrics_table("figures.csv", {"name": ["a", "b"], "error_px": [0.5, None]})
+    >>> Path("figures.csv").read_text().splitlines()
+    ['name,error_px', 'a,0.5', 'b,']
     """
     path = Path(path)
     write_text(path, metrics_text(path, columns))
@@ -260,6 +282,11 @@ def metrics_text(path: str | Path, columns: Mapping[str, Sequence[Any]]) -> str:
     ------
     BadInput
         If there are no columns, or they differ in length.
+
+    Examples
+    --------
+    >>> metrics_text("figures.csv", {"name": ["a", "b"], "error_px": [0.5, float("nan")]}).splitlines()
+    ['name,error_px', 'a,0.5', 'b,']
     """
     path = _csv_path(path)
     lengths = {name: len(values) for name, values in columns.items()}
@@ -280,6 +307,12 @@ def read_metrics_table(path: str | Path) -> dict[str, list[str] | list[float]]:
 
     A column whose cells are all numbers or empty is a list of floats (empty is NaN), any other a list of texts. The
     columns frame, clip, identity and name are always texts. Raises `UnreadableFile` and `BadInput`.
+
+    Examples
+    --------
+    >>> write_metrics_table("figures.csv", {"name": ["a", "b"], "error_px": [0.5, None]})
+    >>> read_metrics_table("figures.csv")
+    {'name': ['a', 'b'], 'error_px': [0.5, nan]}
     """
     path = _csv_path(path)
     table = read_table(path)

@@ -106,6 +106,13 @@ def read_table(path: Path, limit: Limit = TABLE_BYTES) -> Table:
         If the file is missing, empty or not CSV.
     BadInput
         If the columns are separated by something else, rows differ in length, or a heading is missing or repeated.
+
+    Examples
+    --------
+    >>> _ = Path("table.csv").write_text("frame,gain\\none,0.5\\n")
+    >>> table = read_table(Path("table.csv"))
+    >>> table.headings, table.rows
+    (('frame', 'gain'), (('one', '0.5'),))
     """
     text = read_text(path, limit)
     _check_separators(path, text)

@@ -89,7 +89,17 @@ class VideoInfo:
 
 
 def video_info(path: str | Path) -> VideoInfo:
-    """Decode a video once and return its size, times, rate and frame count. Raises `UnreadableFile`."""
+    """Decode a video once and return its size, times, rate and frame count. Raises `UnreadableFile`.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> faces = [np.zeros((16, 16, 3)), np.ones((16, 16, 3))]
+    >>> _ = write_video("two.mkv", faces, frame_rate_hz=10.0, encoding="lossless")
+    >>> info = video_info("two.mkv")
+    >>> info.size, info.frame_rate_hz
+    ((16, 16), 10.0)
+    """
     path = Path(path)
     ticks: list[int | None] = []
     interlaced, track = 0, _Track(None, Fraction(1), Fraction(1))
@@ -134,6 +144,13 @@ def read_frames(
         If an index is beyond the end, the video is HDR, or a pixel is transparent.
     SizeMismatch
         If frames differ in size.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> _ = write_video("two.mkv", [np.zeros((16, 16, 3)), np.ones((16, 16, 3))], encoding="lossless")
+    >>> [frame.mean().item() for frame in read_frames("two.mkv")]
+    [0.0, 1.0]
     """
     path = Path(path)
     if indices is None:
@@ -181,6 +198,12 @@ def write_video(
         If frames differ in size.
     UnwritableFile
         If the folder or disk refuses the file.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> write_video("two.mkv", [np.zeros((16, 16, 3)), np.ones((16, 16, 3))], encoding="lossless")
+    0
     """
     path = Path(path)
     suffixes = {"people": PEOPLE_SUFFIXES, "lossless": LOSSLESS_SUFFIXES}.get(encoding)

@@ -145,7 +145,15 @@ class InnerProducts:
 
 
 def mean_row(rows: ColumnBlocks) -> AnyArray:
-    """Compute the mean of the rows, (d,) float32, summed in float64."""
+    """Compute the mean of the rows, (d,) float32, summed in float64.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from morphspace.linear.rows import RowArray
+    >>> mean_row(RowArray(np.array([[0.0, 2.0], [4.0, 2.0]]))).tolist()
+    [2.0, 2.0]
+    """
     n, d = rows.shape
     mean = np.empty(d, np.float32)
     for start, stop in column_ranges(n, 0, d):
@@ -154,7 +162,16 @@ def mean_row(rows: ColumnBlocks) -> AnyArray:
 
 
 def gram_matrix(rows: ColumnBlocks, mean: AnyArray, weight: AnyArray, start: int, stop: int) -> AnyArray:
-    """Compute the inner products of all mean-relative rows over columns start:stop, (n, n) float64."""
+    """Compute the inner products of all mean-relative rows over columns start:stop, (n, n) float64.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from morphspace.linear.rows import RowArray
+    >>> rows = RowArray(np.array([[1.0, 0.0], [3.0, 4.0]], np.float32))
+    >>> gram_matrix(rows, mean_row(rows), np.ones(2, np.float32), 0, 2).tolist()
+    [[5.0, -5.0], [-5.0, 5.0]]
+    """
     from scipy.linalg.blas import dsyrk  # slow to import, and only a build needs it
 
     n = rows.shape[0]
@@ -191,6 +208,13 @@ def principal_axes(gram: AnyArray, components: int, energy: float) -> tuple[AnyA
         such that the training face furthest along the component lies on its positive side.
     eigenvalues : array (k,)
         In descending order.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> weights, variances = principal_axes(np.array([[5.0, -5.0], [-5.0, 5.0]]), 3, 1.0)
+    >>> weights.shape, variances.round(6).tolist()
+    ((1, 2), [10.0])
     """
     from scipy.linalg import eigh
 
@@ -211,7 +235,17 @@ def principal_axes(gram: AnyArray, components: int, energy: float) -> tuple[AnyA
 
 
 def combine_rows(rows: ColumnBlocks, coefficients: AnyArray, mean: AnyArray, out: AnyArray) -> None:
-    """Write coefficients (k, n) @ (rows - mean) into `out` (k, d) float32, block by block."""
+    """Write coefficients (k, n) @ (rows - mean) into `out` (k, d) float32, block by block.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from morphspace.linear.rows import RowArray
+    >>> rows, out = RowArray(np.array([[1.0, 0.0], [3.0, 4.0]], np.float32)), np.empty((1, 2), np.float32)
+    >>> combine_rows(rows, np.array([[0.5, 0.5]]), np.zeros(2, np.float32), out)
+    >>> out.tolist()
+    [[2.0, 2.0]]
+    """
     n, d = rows.shape
     total = coefficients.sum(axis=1)
     for start, stop in column_ranges(n + len(coefficients), 0, d):
@@ -222,7 +256,18 @@ def combine_rows(rows: ColumnBlocks, coefficients: AnyArray, mean: AnyArray, out
 def basis_from_gram(
     rows: ColumnBlocks, mean: AnyArray, weight: AnyArray, gram: AnyArray, components: int
 ) -> tuple[Basis, LoadingTable]:
-    """Compute the basis of the mean-relative rows and their loadings (n, k); the Gram matrix is overwritten."""
+    """Compute the basis of the mean-relative rows and their loadings (n, k); the Gram matrix is overwritten.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from morphspace.linear.rows import RowArray
+    >>> rows, weight = RowArray(np.array([[1.0, 0.0], [3.0, 4.0]], np.float32)), np.ones(2, np.float32)
+    >>> gram = gram_matrix(rows, mean_row(rows), weight, 0, 2)
+    >>> basis, loadings = basis_from_gram(rows, mean_row(rows), weight, gram, 3)
+    >>> basis.components.shape, np.abs(loadings).round(3).tolist()
+    ((1, 2), [[2.236], [2.236]])
+    """
     n, d = rows.shape
     energy = float((np.square(mean, dtype=np.float64) * weight).sum())
     total = float(np.trace(gram))

@@ -64,6 +64,13 @@ def ssim(image: Image, truth: Image, mask: Mask) -> float:
     """Compute the structural similarity of two images (h, w, 3), averaged over the mask (h, w).
 
     Gaussian window with an SD of 1.5 px: Wang et al., IEEE TIP 13, 2004.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> image = np.random.default_rng(1).random((16, 16, 3)).astype(np.float32)
+    >>> ssim(image, image, np.ones((16, 16))), ssim(image, 1 - image, np.ones((16, 16))) < 0
+    (1.0, True)
     """
     from skimage.metrics import structural_similarity
 
@@ -81,13 +88,27 @@ def ssim(image: Image, truth: Image, mask: Mask) -> float:
 
 
 def rms_px(difference: AnyArray, mask: Mask) -> float:
-    """Compute the root mean square length (px) of a displacement difference (h, w, 2) inside the mask (h, w)."""
+    """Compute the root mean square length (px) of a displacement difference (h, w, 2) inside the mask (h, w).
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> rms_px(np.full((2, 2, 2), [3.0, 4.0]), np.ones((2, 2)))
+    5.0
+    """
     square = (difference * difference).sum(axis=2, dtype=np.float64)
     return float(np.sqrt((square * mask).sum() / max(float(mask.sum()), 1e-12)))
 
 
 def photometric_rmse(image: AnyArray, truth: AnyArray, mask: Mask) -> float:
-    """Compute the root mean square difference of two pictures, (h, w) or (h, w, c), inside the mask, in 8-bit codes."""
+    """Compute the root mean square difference of two pictures, (h, w) or (h, w, c), inside the mask, in 8-bit codes.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> round(photometric_rmse(np.full((2, 2), 0.6), np.full((2, 2), 0.5), np.ones((2, 2))), 6)
+    25.5
+    """
     error = 255 * (np.clip(image, 0, 1) - np.clip(truth, 0, 1)).astype(np.float64)
     square = error * error if error.ndim == 2 else (error * error).mean(axis=2)
     return float(np.sqrt((square * mask).sum() / max(float(mask.sum(dtype=np.float64)), 1e-12)))
@@ -144,6 +165,12 @@ def angular_error_deg(displacement: Displacement, truth: Displacement) -> AnyArr
     References
     ----------
     Barron, Fleet and Beauchemin, IJCV 12, 1994; Baker et al. 2011, section 4.1.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> angular_error_deg(np.zeros((1, 1, 2)), np.array([[[1.0, 0.0]]])).round(1).tolist()
+    [[45.0]]
     """
     du, dv = np.moveaxis(_pair(displacement, truth), -1, 0)
     u, v = np.moveaxis(displacement.astype(np.float64), -1, 0)
@@ -171,13 +198,27 @@ def forward_backward_px(forward: Displacement, backward: Displacement) -> AnyArr
     References
     ----------
     Sundaram, Brox and Keutzer, ECCV 2010; their threshold is not applied.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> forward = np.full((3, 3, 2), [1.0, 0.0], np.float32)
+    >>> float(forward_backward_px(forward, -forward).max()), float(forward_backward_px(forward, forward).max())
+    (0.0, 2.0)
     """
     there_and_back = warp.compose(backward, forward).astype(np.float64)
     return np.hypot(there_and_back[..., 0], there_and_back[..., 1])
 
 
 def stays_inside(displacement: Displacement, height: int, width: int) -> AnyArray:
-    """Return where p + u(p) lies on a second picture of (height, width) px, (h, w) bool."""
+    """Return where p + u(p) lies on a second picture of (height, width) px, (h, w) bool.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> stays_inside(np.full((1, 3, 2), [1.0, 0.0]), 1, 3).tolist()
+    [[True, True, False]]
+    """
     x, y = warp.positions(displacement)
     return (x >= -0.5) & (x <= width - 0.5) & (y >= -0.5) & (y <= height - 0.5)
 
@@ -218,7 +259,14 @@ def flow_errors(displacement: Displacement, truth: Displacement) -> FlowErrors:
 
 
 def known_flow(truth: Displacement) -> AnyArray:
-    """Return where a true flow (h, w, 2) is known, (h, w) bool: finite and within `UNKNOWN_FLOW_PX`."""
+    """Return where a true flow (h, w, 2) is known, (h, w) bool: finite and within `UNKNOWN_FLOW_PX`.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> known_flow(np.array([[[0.0, 1.0], [np.nan, 0.0]]])).tolist()
+    [[True, False]]
+    """
     return np.logical_and(*np.moveaxis(np.abs(truth) <= UNKNOWN_FLOW_PX, -1, 0))
 
 

@@ -36,7 +36,13 @@ def picture_tag(image: Image, title: str, width_px: int = CARD_WIDTH_PX) -> Mark
 
 
 def card(heading: str, facts: Mapping[str, Any], rows: Sequence[Sequence[Markup]] = ()) -> str:
-    """Return an HTML card: a heading, a table of facts without those that are None, and rows of `picture_tag`."""
+    """Return an HTML card: a heading, a table of facts without those that are None, and rows of `picture_tag`.
+
+    Examples
+    --------
+    >>> print(card("Faces of <anna>", {"consent": None}))
+    <div><b>Faces of &lt;anna&gt;</b><table></table></div>
+    """
     fact = Markup("<tr><th style='text-align:left'>{}</th><td style='text-align:left'>{}</td></tr>")
     line, join = Markup("<div style='white-space:nowrap'>{}</div>"), Markup("").join
     return Markup("<div><b>{}</b><table>{}</table>{}</div>").format(

@@ -87,6 +87,13 @@ def framed_for(
     ------
     BadInput
         If the pictures are too small for a face to be measured, or as `MorphModel.for_person` raises it.
+
+    Examples
+    --------
+    >>> import morphspace as ms
+    >>> clip = framed_for(ms.load("anna.morph"), ("anna",), None)
+    >>> len(clip.names), clip.framing.size
+    (12, (60, 72))
     """
     clip = open_clip(sources, options)
     built = model.provenance["framing"]
@@ -160,6 +167,13 @@ def energy_outside(offset: MorphOffset, model: MorphModel, inside: LoadingVector
     References
     ----------
     Moghaddam and Pentland, Probabilistic visual learning for object representation, IEEE PAMI 19 (1997).
+
+    Examples
+    --------
+    >>> import morphspace as ms
+    >>> model = ms.load("anna.morph")
+    >>> round(energy_outside(model.offset(model.training.values[0]), model), 3)
+    0.0
     """
     basis = model.basis
     values = offset.vector
@@ -178,6 +192,14 @@ def encoded_frames(
 
     Stimuli that the model itself rendered lie on its reference and are not aligned: registration would take a strong
     expression for head movement. `own` marks them; None looks them up with `drawn_by`.
+
+    Examples
+    --------
+    >>> import morphspace as ms
+    >>> model = ms.load("anna.morph")
+    >>> first = next(encoded_frames(model, framed_for(model, ("anna",), None)))
+    >>> first.loadings.unit
+    'raw'
     """
     model = model.for_person(source.person)
     flow = model.flow_from_reference  # prepared once, before the threads start
@@ -194,7 +216,15 @@ def encoded_frames(
 
 
 def drawn_by(model: MorphModel, source: FramedClip) -> tuple[bool, ...]:
-    """Return for each frame whether this model rendered it at its own size, by the metadata of its file."""
+    """Return for each frame whether this model rendered it at its own size, by the metadata of its file.
+
+    Examples
+    --------
+    >>> import morphspace as ms
+    >>> model = ms.load("anna.morph")
+    >>> any(drawn_by(model, framed_for(model, ("anna",), None)))
+    False
+    """
     framing = source.framing
     if framing.crop is not None or framing.size != framing.source_size or framing.size != model.size:
         return (False,) * len(source.names)
@@ -215,6 +245,14 @@ def notes_on_own(own: tuple[bool, ...]) -> tuple[str, ...]:
 
 
 def joined(model: MorphModel, parts: list[Loadings]) -> Loadings:
-    """Stack single rows of loadings, (n, k)."""
+    """Stack single rows of loadings, (n, k).
+
+    Examples
+    --------
+    >>> import morphspace as ms
+    >>> model = ms.load("anna.morph")
+    >>> joined(model, [model.training[0], model.training[2]]).frame_names
+    ('frame_000', 'frame_002')
+    """
     values = np.concatenate([part.values for part in parts]) if parts else np.zeros((0, model.rank))
     return Loadings(values, tuple(name for part in parts for name in part.frame_names), model.model_id)

@@ -182,6 +182,12 @@ def read_model_file(path: Path) -> tuple[dict[str, AnyArray], ModelDocument]:
     ModelFileError
         If the file is no model, of another version, truncated, inconsistent or changed after it was written; the
         message names the part.
+
+    Examples
+    --------
+    >>> arrays, document = read_model_file(Path("anna.morph"))
+    >>> arrays["mask"].shape, document["provenance"]["identity"]
+    ((72, 60), 'anna')
     """
     try:
         arrays, found = read_container(path)

@@ -182,6 +182,13 @@ def affine_between_models(source: MorphModel, target: MorphModel) -> Affine:
     References
     ----------
     Nagle et al., section 3, step 2.
+
+    Examples
+    --------
+    >>> import morphspace as ms
+    >>> anna, ben = ms.load("anna.morph"), ms.load("ben.morph")
+    >>> (affine_between_models(anna, ben) @ [20.0, 30.0, 1.0]).round(6).tolist(), required_faceframe(ben).right_eye
+    ([18.0, 30.0], (18.0, 30.0))
     """
     frames = (required_faceframe(source), required_faceframe(target))
     lips = (lip_of(source), lip_of(target))
@@ -194,7 +201,14 @@ def affine_between_models(source: MorphModel, target: MorphModel) -> Affine:
 
 
 def required_faceframe(model: MorphModel) -> FaceFrame:
-    """Return the faceframe of a model. Raises `BadInput` with the command that sets it if there is none."""
+    """Return the faceframe of a model. Raises `BadInput` with the command that sets it if there is none.
+
+    Examples
+    --------
+    >>> import morphspace as ms
+    >>> required_faceframe(ms.load("anna.morph")).left_eye
+    (44.0, 30.0)
+    """
     if model.faceframe is None:
         raise BadInput(
             f"the model of {model.identity} has no keypoints: set them with `morphspace keypoints MODEL --auto`, or "
@@ -232,7 +246,15 @@ def how_to_learn(model: MorphModel, name: str) -> str:
 
 
 def region_of(model: MorphModel, name: str) -> Mask:
-    """Return the mask (h, w) of a named part of a model's mean face. Raises as `face.regions.region_mask`."""
+    """Return the mask (h, w) of a named part of a model's mean face. Raises as `face.regions.region_mask`.
+
+    Examples
+    --------
+    >>> import morphspace as ms
+    >>> mouth = region_of(ms.load("anna.morph"), "mouth")
+    >>> mouth[56, 32].item(), mouth[10, 32].item()
+    (1.0, 0.0)
+    """
     landmarks = None if model.landmarks is None else model.landmarks.mean
     return region_mask(name, model.size[1], model.size[0], model.faceframe, landmarks)
 
@@ -250,7 +272,14 @@ def point_names(model: MorphModel) -> tuple[str, str, str]:
 
 
 def landmarks_of(model: MorphModel) -> Points | None:
-    """Return the points (478, 2) px of the face mesh on the mean face, or None if `keypoints --auto` found none."""
+    """Return the points (478, 2) px of the face mesh on the mean face, or None if `keypoints --auto` found none.
+
+    Examples
+    --------
+    >>> import morphspace as ms
+    >>> landmarks_of(ms.load("anna.morph")) is None  # until `keypoints --auto` has found them
+    True
+    """
     origin = model.provenance.get("keypoints")
     points = origin.get("points") if isinstance(origin, dict) else None
     if points is None or len(points) != POINT_COUNT:
@@ -336,6 +365,14 @@ def with_detected(model: MorphModel, found: DetectedFaceframe) -> MorphModel:
 
 
 def moved_by_components(model: MorphModel, points: Points) -> AnyArray:
-    """Compute the movement of points (n, 2) px of the mean face by one unit of each component, (k, n, 2) px."""
+    """Compute the movement of points (n, 2) px of the mean face by one unit of each component, (k, n, 2) px.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import morphspace as ms
+    >>> moved_by_components(ms.load("anna.morph"), np.array([[30.0, 36.0]])).shape
+    (3, 1, 2)
+    """
     fields = model.component_displacements
     return np.array([warp.move_points(np.ascontiguousarray(field), points) - points for field in fields])

@@ -165,12 +165,24 @@ class Morph:
 
 
 def texture_columns(shape: tuple[int, int]) -> slice:
-    """Return the part of a morph vector (5 h w,) that holds colours; `shape` is (h, w)."""
+    """Return the part of a morph vector (5 h w,) that holds colours; `shape` is (h, w).
+
+    Examples
+    --------
+    >>> texture_columns((72, 60))
+    slice(0, 12960, None)
+    """
     return slice(0, 3 * shape[0] * shape[1])
 
 
 def displacement_columns(shape: tuple[int, int]) -> slice:
-    """Return the part of a morph vector (5 h w,) that holds displacements; `shape` is (h, w)."""
+    """Return the part of a morph vector (5 h w,) that holds displacements; `shape` is (h, w).
+
+    Examples
+    --------
+    >>> displacement_columns((72, 60))
+    slice(12960, 21600, None)
+    """
     return slice(3 * shape[0] * shape[1], CHANNELS * shape[0] * shape[1])
 
 
@@ -213,6 +225,14 @@ def morph_of(image: Image, displacement: Displacement, reference_id: str) -> Mor
     References
     ----------
     Nagle et al., section 2.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> picture = np.tile(np.linspace(0, 1, 5, dtype=np.float32)[:, None], (4, 1, 3))
+    >>> right = np.full((4, 5, 2), [1.0, 0.0], np.float32)
+    >>> morph_of(picture, right, "reference").texture[1, :, 0].round(2).tolist()
+    [0.25, 0.5, 0.75, 1.0, 1.0]
     """
     return Morph.of(warp.sample(image, displacement), displacement, reference_id)
 
@@ -256,6 +276,13 @@ def invert_mean_shape(mean_field: Displacement) -> Displacement:
     BadInput
         If the mean flow is not finite, folds in more than `MEAN_FOLDS` of its cells, or m(m^-1(p)) misses p by more
         than `INVERSE_TOL_PX` at the median. The frames then have no mean face.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> right = np.full((5, 5, 2), [1.0, 0.0], np.float32)
+    >>> invert_mean_shape(right)[2, 2].tolist()
+    [-1.0, 0.0]
     """
     if not np.isfinite(mean_field).all():
         raise BadInput(
@@ -284,6 +311,13 @@ def resource(field: Displacement, mean_inverse: Displacement) -> Displacement:
     References
     ----------
     Nagle et al., section 2 ("resourced").
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> right = np.full((5, 5, 2), [1.0, 0.0], np.float32)
+    >>> resource(2 * right, -right)[2, 2].tolist()
+    [1.0, 0.0]
     """
     return warp.compose(field, mean_inverse)
 

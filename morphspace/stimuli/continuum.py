@@ -115,6 +115,11 @@ def given_positions(positions: Sequence[float]) -> AnyArray:
     ------
     BadInput
         If there are fewer than 2, they do not rise, or one is more than 10 lengths of the line beyond its ends.
+
+    Examples
+    --------
+    >>> given_positions([0, 0.5, 1]).tolist()
+    [0.0, 0.5, 1.0]
     """
     found = np.asarray(positions, np.float64)
     if found.ndim != 1 or len(found) < 2:

@@ -82,6 +82,15 @@ def spectral_slope(luminance: AnyArray) -> float:
 
     The mean is removed and a Hann window applied. Power is averaged over directions and over bands of a third of an
     octave, from `LOWEST_CYCLES` per shorter side to half the Nyquist frequency. All bands have equal weight.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> white = np.random.default_rng(1).normal(size=(128, 128))
+    >>> frequency = np.hypot(*np.meshgrid(np.fft.fftfreq(128), np.fft.fftfreq(128)))
+    >>> pink = np.fft.ifft2(np.fft.fft2(white) / np.maximum(frequency, 1 / 128)).real
+    >>> round(spectral_slope(np.float32(pink)) - spectral_slope(np.float32(white)))
+    -1
     """
     window, band, counts, log_frequency = _spectrum_of(*luminance.shape)
     if len(counts) < LEAST_BANDS:

@@ -37,6 +37,13 @@ def drawn_sd(
     ------
     BadInput
         If `max_sd` is so small that nearly all values would be sampled again.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> loadings, resampled = drawn_sd(np.random.default_rng(1), 4, 2, spread=1.0, max_sd=2.5)
+    >>> loadings.shape, bool(np.abs(loadings).max() <= 2.5), resampled
+    ((4, 2), True, 0)
     """
     values = rng.standard_normal((count, rank)) * spread
     if max_sd is None:
@@ -57,7 +64,15 @@ def drawn_sd(
 
 
 def along(model: MorphModel, component: int, amounts_sd: AnyArray) -> LoadingTable:
-    """Return loadings (n, k) SD with these amounts along one component (from 0) and 0 in all others."""
+    """Return loadings (n, k) SD with these amounts along one component (from 0) and 0 in all others.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import morphspace as ms
+    >>> along(ms.load("anna.morph"), 1, np.array([-2.0, 2.0])).tolist()
+    [[0.0, -2.0, 0.0], [0.0, 2.0, 0.0]]
+    """
     table = np.zeros((len(amounts_sd), model.rank))
     table[:, component] = amounts_sd
     return table

@@ -75,12 +75,27 @@ class Path(Protocol):
 
 
 def as_shown(image: Image) -> Image:
-    """Round an image (h, w, 3) to the colours of an 8-bit file: clipped to [0, 1], in steps of 1/255."""
+    """Round an image (h, w, 3) to the colours of an 8-bit file: clipped to [0, 1], in steps of 1/255.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> (255 * as_shown(np.array([[[-0.1, 0.5, 1.2]]]))).round(3).tolist()
+    [[[0.0, 128.0, 255.0]]]
+    """
     return (np.rint(np.clip(image, 0, 1) * np.float32(CODES)) / np.float32(CODES)).astype(np.float32)
 
 
 def ciede2000(one: Image, other: Image, mask: Mask) -> float:
-    """Return the mean colour difference CIEDE2000 of two images (h, w, 3) over the mask (h, w)."""
+    """Return the mean colour difference CIEDE2000 of two images (h, w, 3) over the mask (h, w).
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> grey, mask = np.full((2, 2, 3), 0.5), np.ones((2, 2))
+    >>> ciede2000(grey, grey, mask), round(ciede2000(grey, grey + 0.1, mask), 1)
+    (0.0, 8.9)
+    """
     from skimage.color import deltaE_ciede2000, rgb2lab
 
     lab = [rgb2lab(np.clip(picture, 0, 1).astype(np.float64)) for picture in (one, other)]
@@ -88,7 +103,15 @@ def ciede2000(one: Image, other: Image, mask: Mask) -> float:
 
 
 def difference(one: Image, other: Image, mask: Mask, kind: str) -> float:
-    """Return the difference of two images: mean "ciede2000", or 1 - "ssim"; 0 for equal images. Raises `BadInput`."""
+    """Return the difference of two images: mean "ciede2000", or 1 - "ssim"; 0 for equal images. Raises `BadInput`.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> grey, mask = np.full((16, 16, 3), 0.5, np.float32), np.ones((16, 16), np.float32)
+    >>> round(difference(grey, grey, mask, "ssim"), 6), round(difference(grey, grey + 0.1, mask, "ciede2000"), 1)
+    (0.0, 8.9)
+    """
     if kind == "ciede2000":
         return ciede2000(one, other, mask)
     if kind == "ssim":

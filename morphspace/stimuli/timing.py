@@ -96,7 +96,14 @@ def retimed(loadings: LoadingTable, speed: float, ends: Ends = "open") -> Loadin
 
 
 def in_reverse(loadings: LoadingTable) -> LoadingTable:
-    """Reverse a motion (n, k) in time."""
+    """Reverse a motion (n, k) in time.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> in_reverse(np.array([[1.0], [2.0], [3.0]])).tolist()
+    [[3.0], [2.0], [1.0]]
+    """
     return np.ascontiguousarray(loadings[::-1])
 
 
@@ -124,6 +131,13 @@ def smoothed(loadings: LoadingTable, cutoff_hz: float, rate_hz: float, ends: End
     References
     ----------
     Lindeberg, Scale-space for discrete signals, IEEE PAMI 12, 1990: the discrete Gaussian.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> even = np.arange(5.0)[:, None]
+    >>> np.allclose(smoothed(even, cutoff_hz=4.0, rate_hz=25.0), even)
+    True
     """
     if not (np.isfinite(cutoff_hz) and cutoff_hz > 0):
         raise BadInput(
@@ -181,6 +195,13 @@ def positions_like(
         The weight of each component in the distances; with the model's SD they are distances between faces.
     band : float
         The largest shift of a frame, as a share of the longer motion.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> guide = np.array([[0.0], [0], [0], [1], [2]])
+    >>> positions_like(np.array([[0.0], [1], [2]]), guide, np.ones(1)).round(1).tolist()
+    [0.0, 0.3, 0.7, 1.3, 2.0]
     """
     check_same_components(loadings, guide)
     weighed, weighed_guide = (np.asarray(table[:, : len(weights)]) * weights for table in (loadings, guide))
@@ -200,6 +221,13 @@ def timed_like(
     """Align a motion (n, k) to the timing of a guide (m, k) of the same model: (m, k), on the motion's own path.
 
     `positions_like` describes the parameters.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> guide = np.array([[0.0], [0], [0], [1], [2]])
+    >>> timed_like(np.array([[0.0], [1], [2]]), guide, np.ones(1)).round(1).tolist()
+    [[0.0], [0.3], [0.7], [1.3], [2.0]]
     """
     return at_positions(loadings, positions_like(loadings, guide, weights, band=band))
 

@@ -26,7 +26,14 @@ LONGEST_BRIDGE = 10_000  # frames
 
 
 def step_lengths(loadings: LoadingTable, weights: AnyArray) -> AnyArray:
-    """Return the length (n - 1,) of each step of a motion (n, k)."""
+    """Return the length (n - 1,) of each step of a motion (n, k).
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> step_lengths(np.array([[0.0, 0.0], [3.0, 4.0], [3.0, 4.0]]), np.ones(2)).tolist()
+    [5.0, 0.0]
+    """
     return np.sqrt((np.diff(loadings * weights, axis=0) ** 2).sum(axis=1))
 
 
@@ -116,6 +123,13 @@ def spliced(
     """Join motions (n_i, k) in order by smooth transitions; all their frames are kept.
 
     A transition is a `bridge` with steps no longer than the median step of all motions, or with `join_frames` frames.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> rise, fall = np.array([[0.0], [1], [2]]), np.array([[2.0], [1], [0]])
+    >>> spliced([rise, fall], np.ones(1), join_frames=1).round(2).ravel().tolist()
+    [0.0, 1.0, 2.0, 2.0, 2.0, 1.0, 0.0]
     """
     for table in tables[1:]:
         check_same_components(tables[0], table)
@@ -131,6 +145,13 @@ def looped(loadings: LoadingTable, weights: AnyArray, join_frames: int | None = 
 
     Without `join_frames`, no step of the return, the last one to the first frame included, exceeds the motion's
     median step. Raises `BadInput` for fewer than 3 frames.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> loop = looped(np.array([[0.0], [1], [2], [3]]), np.ones(1))
+    >>> len(loop) > 4, loop[:4].ravel().tolist()
+    (True, [0.0, 1.0, 2.0, 3.0])
     """
     if len(loadings) < 3:
         raise BadInput(
@@ -169,6 +190,12 @@ def scrambled_blocks(loadings: LoadingTable, block_frames: int, rng: np.random.G
 
     This control keeps all faces, and the motion within blocks, but not the order. The last block may be shorter.
     Raises `BadInput` for fewer than 2 blocks.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> scrambled_blocks(np.arange(6.0)[:, None], 2, np.random.default_rng(1)).ravel().tolist()
+    [4.0, 5.0, 0.0, 1.0, 2.0, 3.0]
     """
     starts = np.arange(0, len(loadings), max(block_frames, 1))
     if block_frames < 1 or len(starts) < 2:
@@ -192,6 +219,14 @@ def scrambled_phase(loadings: LoadingTable, rng: np.random.Generator) -> Loading
     ----------
     Prichard and Theiler, Generating surrogate data for time series with several simultaneously measured variables,
     Phys. Rev. Lett. 73, 1994.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> motion = np.sin(np.arange(16.0))[:, None]
+    >>> scrambled = scrambled_phase(motion, np.random.default_rng(1))
+    >>> np.allclose(np.abs(np.fft.rfft(scrambled, axis=0)), np.abs(np.fft.rfft(motion, axis=0)))
+    True
     """
     count = len(loadings)
     if count < 3:
@@ -217,6 +252,13 @@ def averaged(tables: Sequence[LoadingTable], weights: AnyArray) -> LoadingTable:
     ----------
     Petitjean, Ketterlin and Gancarski, A global averaging method for dynamic time warping, Pattern Recognition 44,
     2011.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> early, late = np.array([[0.0], [1], [0], [0]]), np.array([[0.0], [0], [1], [0]])
+    >>> averaged([early, late], np.ones(1)).round(2).ravel().tolist()
+    [0.0, 0.53, 0.44, 0.0]
     """
     for table in tables[1:]:
         check_same_components(tables[0], table)
@@ -250,6 +292,13 @@ def caricatured(loadings: LoadingTable, mean: LoadingTable, gain: float, weights
 
     Gain 1 is the motion itself, 0 the mean trajectory with the motion's timing, above 1 a dynamic caricature, below 0
     an anti-caricature. Raises `BadInput` for a gain beyond +-1000.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> mean = np.array([[0.0], [1], [0]])
+    >>> caricatured(2 * mean, mean, gain=2.0, weights=np.ones(1)).ravel().tolist()
+    [0.0, 3.0, 0.0]
     """
     if not abs(gain) <= LARGEST_GAIN:
         raise BadInput(

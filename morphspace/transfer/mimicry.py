@@ -98,6 +98,14 @@ def mimic(
     References
     ----------
     Nagle et al., section 3, for `paper`; the other methods are ours.
+
+    Examples
+    --------
+    >>> import morphspace as ms
+    >>> anna, ben = ms.load("anna.morph"), ms.load("ben.morph")
+    >>> face = mimic(anna, ben, "paper")(anna.offset(anna.training.values[0]))
+    >>> face.morph.shape, face.loadings.shape
+    ((72, 60), (3,))
     """
     if method not in METHODS:
         raise BadInput(f"the method is {method!r}; expected one of {', '.join(METHODS)}")
@@ -185,6 +193,12 @@ def auto_gain(
     ----------
     source, target, method, neutral
         As `mimic`, which also lists the errors.
+
+    Examples
+    --------
+    >>> import morphspace as ms
+    >>> round(auto_gain(ms.load("anna.morph"), ms.load("ben.morph"), "paper"), 1)
+    1.0
     """
     projection = Projection(source, target)
     solve = _solve_of(projection, method)

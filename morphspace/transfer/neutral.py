@@ -149,6 +149,12 @@ def neutral_of(source: MorphModel, target: MorphModel, asked: str = AUTOMATIC) -
     ------
     BadInput
         If a name is not that of exactly one training frame, or the models cannot be linked.
+
+    Examples
+    --------
+    >>> import morphspace as ms
+    >>> neutral_of(ms.load("anna.morph"), ms.load("ben.morph"), "mean").source
+    array([0., 0., 0.])
     """
     if asked == AUTOMATIC:
         return _automatic(source, target)

@@ -55,6 +55,12 @@ def feature_weights(model: MorphModel) -> Mask:
 
     Skin has 1, points near lids, brows and lips up to 1 + `FEATURE_WEIGHT`. All points have 1 if the model has no
     mesh points (`keypoints.landmarks_of`).
+
+    Examples
+    --------
+    >>> import morphspace as ms
+    >>> feature_weights(ms.load("anna.morph")).max().item()  # no mesh points
+    1.0
     """
     height, width = model.mask.shape
     near = np.zeros((height, width), np.float32)

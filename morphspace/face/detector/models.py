@@ -101,6 +101,11 @@ def models_folder(environment: Mapping[str, str] = os.environ) -> Path:
     """Return the folder of the networks: MORPHSPACE_MODELS, or `morphspace/models` in the user's cache.
 
     The cache is XDG_CACHE_HOME if that is an absolute path, as its specification requires, else the system's default.
+
+    Examples
+    --------
+    >>> models_folder({"MORPHSPACE_MODELS": "networks"}).as_posix()
+    'networks'
     """
     if folder := environment.get(FOLDER_VARIABLE):
         return Path(folder).expanduser()

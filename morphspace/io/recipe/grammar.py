@@ -191,6 +191,14 @@ def read_recipe(path: Path | str, verbs: VerbSettings) -> Recipe:
         If the file is missing, or is not YAML or CSV.
     BadInput
         If an entry is wrong; the message names its line and the nearest correct word.
+
+    Examples
+    --------
+    >>> lines = ["format: morphspace-recipe", "version: 1", "factors: {n: [5, 10]}"]
+    >>> lines += ["stimuli: [{verb: sample, count: '{n}'}]"]
+    >>> _ = Path("recipe.yaml").write_text("\\n".join(lines))
+    >>> [job.settings for job in read_recipe("recipe.yaml", {"sample": ("model", "count")}).jobs()]
+    [{'count': 5}, {'count': 10}]
     """
     path = Path(path)
     kind = path.suffix.lower()
