@@ -60,6 +60,10 @@ def banded(mean: Image, shown: Sequence[Shown], usual: Sequence[float]) -> Image
     usual : sequence of float
         The usual strength of each identity's finest detail, by which it is divided: a sharper camera does not count
         more.
+
+    References
+    ----------
+    Suwajanakorn, Seitz and Kemelmacher-Shlizerman, ICCV 2015, section 5 (weighted bands); the weights are ours.
     """
     fine_px, coarse_px = (part * mean.shape[1] for part in (FINE, COARSE))
     whole = np.zeros(mean.shape[:2], np.float32)

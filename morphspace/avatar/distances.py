@@ -57,9 +57,12 @@ def mean_face_distances(models: Sequence[MorphModel], avatar: MorphModel, shared
 def shape_percent(one: Points, other: Points) -> float:
     """Compute the rms distance between two sets of points (m, 2) after the best similarity, in their unit, times 100.
 
-    Both are centred and scaled to rms size 1 before the rotation is found (ordinary Procrustes analysis, Dryden and
-    Mardia, Statistical Shape Analysis, section 4.2), so their order does not matter. The result is scaled back by the
-    geometric mean of the sizes.
+    Both are centred and scaled to rms size 1 before the rotation is found (ordinary Procrustes analysis), so their
+    order does not matter. The result is scaled back by the geometric mean of the sizes.
+
+    References
+    ----------
+    Dryden and Mardia, Statistical Shape Analysis, section 4.2.
     """
     a, b = (points - points.mean(axis=0) for points in (one, other))
     size_a, size_b = (float(np.sqrt((points**2).sum(axis=1).mean())) for points in (a, b))

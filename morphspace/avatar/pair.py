@@ -67,6 +67,10 @@ def pair_model(
     BadInput
         If a model has no keypoints, the sizes differ, or both show the same face.
 
+    References
+    ----------
+    Nagle et al., section 2; the space of two people is ours.
+
     Examples
     --------
     >>> import morphspace as ms

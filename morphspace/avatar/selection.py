@@ -70,8 +70,12 @@ def _apart(source: MorphModel, target: MorphModel) -> float:
 def spread_out(loadings: LoadingTable, most: int | None) -> list[int]:
     """Choose at most `most` of n faces (n, k), spread out in loading space; all if None. Places in rising order.
 
-    The first is the face nearest to the mean; each next one is the farthest from those chosen (Gonzalez, Theoretical
-    Computer Science 38, 1985). Distances are those of the model's inner product.
+    The first is the face nearest to the mean; each next one is the farthest from those chosen.
+    Distances are those of the model's inner product.
+
+    References
+    ----------
+    Gonzalez, Theoretical Computer Science 38, 1985.
 
     Examples
     --------

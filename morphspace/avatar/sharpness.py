@@ -52,7 +52,12 @@ def detail(image: Image) -> Image:
 
 
 def sharpened(image: Image, mask: Mask, amount: float) -> Image:
-    """Add `amount` times an image's detail inside the mask (h, w); the same array for 0."""
+    """Add `amount` times an image's detail inside the mask (h, w); the same array for 0.
+
+    References
+    ----------
+    Nagle et al., section 4, step 6.
+    """
     if amount == 0:
         return image
     return image + np.float32(amount) * mask[..., None] * detail(image)

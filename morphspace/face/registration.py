@@ -62,6 +62,11 @@ def register(
     BadInput
         If the movement is not finite.
 
+    References
+    ----------
+    Umeyama, IEEE PAMI 13, 1991 (the similarity of least squares). Nagle et al., section 2, ask for the removal of
+    rigid movement; the method is ours.
+
     Examples
     --------
     >>> import numpy as np

@@ -277,6 +277,10 @@ def domain_transform(strength: float, edge_codes: float, colours: int) -> tuple[
         Step of the guide (codes) at which the weight falls to 1/e.
     colours : int
         Number of planes of the guide, 1 or 3.
+
+    References
+    ----------
+    Gastal and Oliveira, ACM Transactions on Graphics 30(4), 2011 (the filter); the match of settings is ours.
     """
     middle = 1 + 1 / (2 * strength)
     pole = middle - sqrt(middle**2 - 1)

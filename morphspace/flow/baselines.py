@@ -34,16 +34,25 @@ def grey_codes(image: Image) -> AnyArray:
 
 
 def deepflow(reference: Image, frame: Image, start: Displacement | None = None) -> Displacement:
-    """Estimate the flow by OpenCV's DeepFlow (Weinzaepfel et al., ICCV 2013); the start is ignored."""
+    """Estimate the flow by OpenCV's DeepFlow; the start is ignored.
+
+    References
+    ----------
+    Weinzaepfel, Revaud, Harchaoui and Schmid, DeepFlow: large displacement optical flow with deep matching, ICCV 2013.
+    """
     estimator = cv2.optflow.createOptFlow_DeepFlow()
     field: Displacement = estimator.calc(grey_codes(reference), grey_codes(frame), None)
     return field
 
 
 def dis(reference: Image, frame: Image, start: Displacement | None = None) -> Displacement:
-    """Estimate the flow by dense inverse search at full size with 50 descents (Kroeger et al., ECCV 2016).
+    """Estimate the flow by dense inverse search at full size with 50 descents.
 
     Raises `BadInput` if a side of the pictures is below `DIS_LEAST_PX`.
+
+    References
+    ----------
+    Kroeger, Timofte, Dai and Van Gool, Fast optical flow using dense inverse search, ECCV 2016.
     """
     height, width = reference.shape[:2]
     if min(height, width) < DIS_LEAST_PX:
@@ -65,6 +74,10 @@ def dis_medium(reference: Image, frame: Image, start: Displacement | None = None
 
     Registration, the search for the reference and the benchmarks use it; `--flow` does not offer it.
 
+    References
+    ----------
+    Kroeger, Timofte, Dai and Van Gool, Fast optical flow using dense inverse search, ECCV 2016.
+
     Examples
     --------
     >>> import numpy as np
@@ -83,7 +96,12 @@ def _searched(estimator: object, reference: Image, frame: Image, start: Displace
 
 
 def tvl1(reference: Image, frame: Image, start: Displacement | None = None) -> Displacement:
-    """Estimate the flow by scikit-image's TV-L1 (Zach, Pock and Bischof, 2007); the start is ignored."""
+    """Estimate the flow by scikit-image's TV-L1; the start is ignored.
+
+    References
+    ----------
+    Zach, Pock and Bischof, A duality based approach for realtime TV-L1 optical flow, DAGM 2007.
+    """
     from skimage.registration import optical_flow_tvl1
 
     down, right = optical_flow_tvl1(reference @ LUMA, frame @ LUMA, dtype=np.float32)

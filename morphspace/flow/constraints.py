@@ -156,6 +156,10 @@ def tensor(
         Half derivatives of both pictures; those of the frame after warping.
     channels : Channels
     shape : (c, h, w)
+
+    References
+    ----------
+    Johnston, McOwan and Benton, Proc. R. Soc. B 266, 1999: the ratio of each derivative; the weights are ours.
     """
     _, height, width = shape
     total = backend.zeros(6, height, width)

@@ -64,7 +64,13 @@ class ReferenceLevel:
 
 
 def method(preset: Preset, backend: Backend | None = None) -> FlowMethod:
-    """Return the estimator as a flow method; on OpenCV by default."""
+    """Return the estimator as a flow method; on OpenCV by default.
+
+    References
+    ----------
+    Johnston, McOwan and Benton, Proc. R. Soc. B 266, 1999 (the constraints); the solver is ours (docs/methods.md,
+    section 4).
+    """
     return lambda reference: matcher(reference, preset, backend or OpenCVBackend())
 
 

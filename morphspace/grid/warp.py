@@ -47,6 +47,10 @@ def sample(image: Image, displacement: Displacement) -> Image:
     BadInput
         If the displacement is not finite.
 
+    References
+    ----------
+    Unser, Splines: a perfect fit for signal and image processing, IEEE Signal Processing Magazine 16, 1999.
+
     Examples
     --------
     >>> import numpy as np

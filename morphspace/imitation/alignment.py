@@ -59,6 +59,10 @@ def align(one: LoadingTable, other: LoadingTable, *, band: float = BAND) -> Alig
     The cost of a pair of frames is their Euclidean distance. `band` is the largest shift of a frame, as a share of
     the longer sequence. Apply `standardised` first to compare shapes only.
 
+    References
+    ----------
+    Sakoe and Chiba, IEEE ASSP 26, 1978.
+
     Examples
     --------
     >>> import numpy as np
@@ -71,6 +75,10 @@ def align(one: LoadingTable, other: LoadingTable, *, band: float = BAND) -> Alig
 
 def cheapest_path(costs: AnyArray, *, band: float = BAND) -> Alignment:
     """Find the path from the first to the last pair of frames with the least sum of costs (n, m), within the band.
+
+    References
+    ----------
+    Sakoe and Chiba, IEEE ASSP 26, 1978.
 
     Examples
     --------

@@ -96,6 +96,10 @@ def compare(
     ------
     BadInput
         As `check_sequences` raises it.
+
+    References
+    ----------
+    Nagle et al., section 5.1 (distances and information measures); the tests are ours.
     """
     check_sequences(stimulus_sd, imitation_sd)
     baseline = baseline_of(len(imitation_sd), permutations, seed)

@@ -14,6 +14,10 @@ LINEAR_LIMIT = 0.0031308  # linear light; the same point
 def srgb_of_linear(linear: AnyArray) -> AnyArray:
     """Code linear light as sRGB. The curve continues beyond 1 and is mirrored below 0, so that it can be inverted.
 
+    References
+    ----------
+    IEC 61966-2-1.
+
     Examples
     --------
     >>> import numpy as np
@@ -27,6 +31,10 @@ def srgb_of_linear(linear: AnyArray) -> AnyArray:
 
 def linear_of_srgb(coded: AnyArray) -> AnyArray:
     """Decode sRGB-coded values to linear light: the inverse of `srgb_of_linear`.
+
+    References
+    ----------
+    IEC 61966-2-1.
 
     Examples
     --------

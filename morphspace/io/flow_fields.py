@@ -66,6 +66,10 @@ def read_flow(path: str | Path) -> StoredFlow:
     BadInput
         If the suffix or the channels are others, a value is not finite, or a confidence lies outside [0, 1].
 
+    References
+    ----------
+    Baker et al., A database and evaluation methodology for optical flow, IJCV 92, 2011 (`.flo`).
+
     Examples
     --------
     >>> import numpy as np

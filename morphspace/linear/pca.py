@@ -209,6 +209,10 @@ def principal_axes(gram: AnyArray, components: int, energy: float) -> tuple[AnyA
     eigenvalues : array (k,)
         In descending order.
 
+    References
+    ----------
+    Nagle et al., section 2 (PCA of the morphs).
+
     Examples
     --------
     >>> import numpy as np
@@ -257,6 +261,10 @@ def basis_from_gram(
     rows: ColumnBlocks, mean: AnyArray, weight: AnyArray, gram: AnyArray, components: int
 ) -> tuple[Basis, LoadingTable]:
     """Compute the basis of the mean-relative rows and their loadings (n, k); the Gram matrix is overwritten.
+
+    References
+    ----------
+    Nagle et al., section 2; Tipping and Bishop, J. R. Statist. Soc. B 61, 1999, equation 8 (what the components omit).
 
     Examples
     --------

@@ -63,7 +63,11 @@ def psnr_db(image: Image, truth: Image, mask: Mask) -> float:
 def ssim(image: Image, truth: Image, mask: Mask) -> float:
     """Compute the structural similarity of two images (h, w, 3), averaged over the mask (h, w).
 
-    Gaussian window with an SD of 1.5 px: Wang et al., IEEE TIP 13, 2004.
+    The window is a Gaussian with an SD of 1.5 px.
+
+    References
+    ----------
+    Wang, Bovik, Sheikh and Simoncelli, IEEE Transactions on Image Processing 13, 2004.
 
     Examples
     --------

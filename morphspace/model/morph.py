@@ -277,6 +277,10 @@ def invert_mean_shape(mean_field: Displacement) -> Displacement:
         If the mean flow is not finite, folds in more than `MEAN_FOLDS` of its cells, or m(m^-1(p)) misses p by more
         than `INVERSE_TOL_PX` at the median. The frames then have no mean face.
 
+    References
+    ----------
+    Nagle et al., section 2 (the mean face); the inverse on triangles is ours.
+
     Examples
     --------
     >>> import numpy as np

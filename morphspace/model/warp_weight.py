@@ -74,6 +74,10 @@ def trial_weights(
     -------
     tuple of WeightTrial
         Empty if there are fewer than `MIN_FRAMES` frames, or texture or warp does not vary.
+
+    References
+    ----------
+    Ours; Nagle et al., section 2, have no weight.
     """
     chosen = np.unique(np.linspace(0, rows.shape[0] - 1, min(rows.shape[0], TRIED_FRAMES)).round()).astype(
         np.intp

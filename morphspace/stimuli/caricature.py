@@ -105,6 +105,10 @@ def caricature_drawing(
     Returns
     -------
     Drawing
+
+    References
+    ----------
+    Nagle et al., section 5; Benson and Perrett, European Journal of Cognitive Psychology 3, 1991.
     """
     shape = caricatured(veridical, gains.get("gain", gains.get("warp_gain", 1.0)), components)
     colour = None if "gain" in gains else caricatured(veridical, gains["texture_gain"], components)

@@ -49,6 +49,10 @@ def image_statistics(frames: Iterable[AnyArray]) -> dict[str, dict[str, float | 
     BadInput
         If there are no frames or one is not (h, w, 3) uint8.
 
+    References
+    ----------
+    Moulden, Kingdom and Gatley, Perception 19, 1990 (RMS contrast); Field, JOSA A 4, 1987 (spectral slope).
+
     Examples
     --------
     >>> import numpy as np
@@ -82,6 +86,10 @@ def spectral_slope(luminance: AnyArray) -> float:
 
     The mean is removed and a Hann window applied. Power is averaged over directions and over bands of a third of an
     octave, from `LOWEST_CYCLES` per shorter side to half the Nyquist frequency. All bands have equal weight.
+
+    References
+    ----------
+    Field, JOSA A 4, 1987; the bands are ours.
 
     Examples
     --------

@@ -38,6 +38,10 @@ def drawn_sd(
     BadInput
         If `max_sd` is so small that nearly all values would be sampled again.
 
+    References
+    ----------
+    Nagle et al., section 2 (faces of a realistic distribution); the bound is ours.
+
     Examples
     --------
     >>> import numpy as np

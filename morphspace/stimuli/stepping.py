@@ -89,6 +89,10 @@ def as_shown(image: Image) -> Image:
 def ciede2000(one: Image, other: Image, mask: Mask) -> float:
     """Return the mean colour difference CIEDE2000 of two images (h, w, 3) over the mask (h, w).
 
+    References
+    ----------
+    Luo, Cui and Rigg, Color Research and Application 26, 2001.
+
     Examples
     --------
     >>> import numpy as np

@@ -196,6 +196,10 @@ def positions_like(
     band : float
         The largest shift of a frame, as a share of the longer motion.
 
+    References
+    ----------
+    Sakoe and Chiba, IEEE ASSP 26, 1978 (the path); the smoothing is ours.
+
     Examples
     --------
     >>> import numpy as np

@@ -293,6 +293,10 @@ def caricatured(loadings: LoadingTable, mean: LoadingTable, gain: float, weights
     Gain 1 is the motion itself, 0 the mean trajectory with the motion's timing, above 1 a dynamic caricature, below 0
     an anti-caricature. Raises `BadInput` for a gain beyond +-1000.
 
+    References
+    ----------
+    Nagle et al., section 1 (the purpose); the method is ours.
+
     Examples
     --------
     >>> import numpy as np

@@ -110,7 +110,12 @@ def overlap(a: FaceBox, b: FaceBox) -> float:
 
 
 def suppress(candidates: list[FaceBox]) -> list[FaceBox]:
-    """Return one box for each face, best first: the score-weighted mean of all boxes that overlap the best one."""
+    """Return one box for each face, best first: the score-weighted mean of all boxes that overlap the best one.
+
+    References
+    ----------
+    Bazarevsky et al., BlazeFace, 2019, section 3.4.
+    """
     left = sorted(candidates, key=lambda box: -box.score)
     faces = []
     while left:
