@@ -53,6 +53,13 @@ def dis(reference: Image, frame: Image, start: Displacement | None = None) -> Di
     References
     ----------
     Kroeger, Timofte, Dai and Van Gool, Fast optical flow using dense inverse search, ECCV 2016.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> picture = np.random.default_rng(1).random((40, 40, 3)).astype(np.float32)
+    >>> bool(np.abs(dis(picture, picture)).max() < 0.1)
+    True
     """
     height, width = reference.shape[:2]
     if min(height, width) < DIS_LEAST_PX:

@@ -86,6 +86,13 @@ def spline_reader(planes: Sequence[AnyArray] | AnyArray) -> Callable[[AnyArray, 
     The function takes two arrays (h, w) and returns (c, h, w). Three or four planes are read together as four
     channels, which OpenCV does in little more than the time of one. The points are read in strips of rows that fit
     the processor's cache.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> ramp = np.tile(np.arange(30, dtype=np.float32), (4, 1))
+    >>> round(spline_reader([ramp])(np.array([[14.5]]), np.array([[2.0]])).item(), 3)
+    14.5
     """
     height, width = planes[0].shape
     count = len(planes)

@@ -119,6 +119,14 @@ def write_flows(fields: Mapping[Path, tuple[Displacement, Mask]]) -> None:
         If a suffix is another, shapes disagree, or a value is not finite or so large that it means unknown flow.
     UnwritableFile
         If the folder or disk refuses a file.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> field, sure = np.ones((2, 3, 2), np.float32), np.ones((2, 3), np.float32)
+    >>> write_flows({Path("there.flo"): (field, sure), Path("back.flo"): (-field, sure)})
+    >>> read_flow("back.flo").displacement[0, 0].tolist()
+    [-1.0, -1.0]
     """
     with contextlib.ExitStack() as all_or_none:
         for path, parts in fields.items():

@@ -129,7 +129,16 @@ def read_landmarks(path: str | Path) -> Points:
 
 
 def read_landmark_pair(reference: str | Path, frame: str | Path) -> tuple[Points, Points]:
-    """Read the landmarks of two images, (m, 2) px each. Raises `BadInput` if their numbers differ."""
+    """Read the landmarks of two images, (m, 2) px each. Raises `BadInput` if their numbers differ.
+
+    Examples
+    --------
+    >>> _ = Path("a.csv").write_text("x,y\\n1,2\\n3,4\\n")
+    >>> _ = Path("b.csv").write_text("x,y\\n1,3\\n3,5\\n")
+    >>> first, second = read_landmark_pair("a.csv", "b.csv")
+    >>> (second - first).tolist()
+    [[0.0, 1.0], [0.0, 1.0]]
+    """
     one, other = read_landmarks(reference), read_landmarks(frame)
     if len(one) != len(other):
         raise BadInput(
@@ -165,6 +174,12 @@ def read_marked_points(
         outside the image.
     UnreadableFile
         If the file is missing, empty or not a text.
+
+    Examples
+    --------
+    >>> _ = Path("eyes.csv").write_text("x,y\\n20,30\\n40,30\\n30,46\\n")
+    >>> read_marked_points("eyes.csv", (60, 72)).points.tolist()
+    [[20.0, 30.0], [40.0, 30.0], [30.0, 46.0]]
     """
     path = Path(path)
     suffix = path.suffix.lower()

@@ -52,7 +52,15 @@ def components_used(components: int | None, known: int, what: str) -> tuple[int,
 
 
 def first_components(model: MorphModel, components: int | None) -> tuple[MorphModel, tuple[str, ...]]:
-    """Return the model with its first `components` (None for all), and a note if it has fewer."""
+    """Return the model with its first `components` (None for all), and a note if it has fewer.
+
+    Examples
+    --------
+    >>> import morphspace as ms
+    >>> few, notes = first_components(ms.load("anna.morph"), 2)
+    >>> few.rank, notes
+    (2, ())
+    """
     used, notes = components_used(components, model.rank, model.identity)
     return (model if used == model.rank else model.truncate(used)), notes
 

@@ -174,6 +174,12 @@ def default_size(clip: Clip, crop: tuple[int, int, int, int] | None) -> tuple[in
     """Return the default frame size (w, h) px of a model: the frames' own, or 200 x 240 if they are large.
 
     Frames of a video are large above `DEFAULT_SIDE_PX`, stills above `MOST_STILL_PX`.
+
+    Examples
+    --------
+    >>> from morphspace.io.clips import open_clip
+    >>> default_size(open_clip(["anna"]), None)
+    (60, 72)
     """
     used = source_size(clip.size, crop)
     is_large = (

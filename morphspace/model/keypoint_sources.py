@@ -104,6 +104,14 @@ def given_keypoints(
     ------
     BadInput
         If the points lie outside the picture or span no upright face.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import morphspace as ms
+    >>> found = given_keypoints(ms.load("anna.morph"), np.array([[20.0, 30.0], [44.0, 30.0], [32.0, 50.0]]))
+    >>> found.faceframe.left_eye
+    (44.0, 30.0)
     """
     faceframe, notes = _on_mean(model, np.array(points, np.float64), on, "--set", None)
     origin = {"source": "set", "lip": lip or "philtrum", "on": on}

@@ -33,6 +33,15 @@ def draw(model: MorphModel, drawing: Drawing, originals: Iterable[Image] | None 
     ------
     BadInput
         If the model has fewer components than the drawing, or the originals are missing.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import morphspace as ms
+    >>> model = ms.load("anna.morph")
+    >>> (face,) = draw(model, Drawing("mean", np.zeros((1, model.rank))))
+    >>> np.allclose(face, np.clip(model.mean.render(), 0, 1), atol=1e-6)
+    True
     """
     for morph, image in morphs_and_images(model, drawing, originals, 1):
         del morph

@@ -42,7 +42,14 @@ class Plausibility:
 
 
 def plausible_limits_sd(model: MorphModel) -> AnyArray:
-    """Return the limit (k,) of each component, SD: 3, or the largest absolute value of the training faces."""
+    """Return the limit (k,) of each component, SD: 3, or the largest absolute value of the training faces.
+
+    Examples
+    --------
+    >>> import morphspace as ms
+    >>> plausible_limits_sd(ms.load("anna.morph")).tolist()
+    [3.0, 3.0, 3.0]
+    """
     sd = np.where(model.sd > 0, model.sd, 1)
     furthest = np.abs(model.training.values[:, : model.rank] / sd).max(axis=0, initial=0)
     return np.maximum(PLAUSIBLE_SD, furthest)
