@@ -45,7 +45,7 @@ class Curve:
         return float(max((root - self.shared) / self.added, 0.0))
 
 
-def detail(image: Image) -> Image:
+def _detail(image: Image) -> Image:
     """Return the difference of an image (h, w, 3) from its Gaussian blur."""
     sd_px = RADIUS * image.shape[1]
     return image - cv2.GaussianBlur(image, (0, 0), sd_px, borderType=cv2.BORDER_REFLECT_101)
@@ -60,7 +60,7 @@ def sharpened(image: Image, mask: Mask, amount: float) -> Image:
     """
     if amount == 0:
         return image
-    return image + np.float32(amount) * mask[..., None] * detail(image)
+    return image + np.float32(amount) * mask[..., None] * _detail(image)
 
 
 def sharpness(image: Image, mask: Mask) -> float:
@@ -71,7 +71,7 @@ def sharpness(image: Image, mask: Mask) -> float:
 def curve(image: Image, mask: Mask) -> Curve:
     """Compute how the sharpness of an image (h, w, 3) grows with the amount."""
     inside = mask > WELL_INSIDE
-    plain, added = _laplacian(image)[inside], _laplacian(detail(image))[inside]
+    plain, added = _laplacian(image)[inside], _laplacian(_detail(image))[inside]
     together: AnyArray = np.cov(np.stack([plain, added]), bias=True)
     return Curve(float(together[0, 0]), float(together[0, 1]), float(together[1, 1]))
 

@@ -63,7 +63,7 @@ def originals_of(models: Sequence[MorphModel], clips: Sequence[Clip] | None) -> 
     """Pair each model with the clip it was built from; None for each without clips. Raises `BadInput`."""
     if clips is None:
         return [None] * len(models)
-    check_clips(len(clips), len(models))
+    _check_clips(len(clips), len(models))
     return [_checked(model, clip) for model, clip in zip(models, clips, strict=True)]
 
 
@@ -71,11 +71,11 @@ def opened_clips(
     given: Sequence[str], models: Sequence[MorphModel], options: ClipOptions = AS_IT_IS
 ) -> list[FramedClip]:
     """Open the clips from which the models were built. Raises `BadInput` unless there is one for each."""
-    check_clips(len(given), len(models))
+    _check_clips(len(given), len(models))
     return [framed_for(model, (clip,), None, options) for model, clip in zip(models, given, strict=True)]
 
 
-def check_clips(clips: int, models: int) -> None:
+def _check_clips(clips: int, models: int) -> None:
     """Raise `BadInput` if the clips are not one for each model."""
     if clips != models:
         raise BadInput(

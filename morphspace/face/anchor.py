@@ -107,7 +107,7 @@ def rigid_movement(reference: FacePoints, frame: FacePoints) -> Affine:
     return fitted_similarity(reference.points[rigid], frame.points[rigid])
 
 
-def anchor_on(reference: Image, detector: Detector) -> FaceAnchor | None:
+def _anchor_on(reference: Image, detector: Detector) -> FaceAnchor | None:
     """Detect the face in a reference (h, w, 3); return its anchor, or None without a face."""
     face = detector(reference)
     return None if face is None else FaceAnchor(detector, face)
@@ -138,7 +138,7 @@ def anchor_of_build(
         return None
     found_by = entry.get("detector")
     chosen = person_of(found_by.get("person") if isinstance(found_by, Mapping) else None)
-    anchor = anchor_on(np.array(reference), load_detector(person=chosen))
+    anchor = _anchor_on(np.array(reference), load_detector(person=chosen))
     if anchor is None:
         raise BadInput(
             "the detector finds no face in the reference, where the build found one. Build the model again with this "

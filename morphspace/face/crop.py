@@ -88,7 +88,7 @@ def crop_steps(clip: Clip, detector: Detector, aspect: float) -> Steps[FoundCrop
     check_one_person(names, faces)
     notes = several_notes(names, faces)
     return FoundCrop(
-        head_crop(found, clip.size, aspect), median_eyes_px(found), len(searched), len(found), notes
+        _head_crop(found, clip.size, aspect), _median_eyes_px(found), len(searched), len(found), notes
     )
 
 
@@ -149,14 +149,14 @@ def _words(face: FacePoints | None) -> str:
     return "" if face is None else "{:.0f},{:.0f}".format(*_middle(face))
 
 
-def head_crop(
+def _head_crop(
     faces: Sequence[FacePoints], picture: tuple[int, int], aspect: float
 ) -> tuple[int, int, int, int]:
     """Compute the box (x, y, w, h) px that contains the head in all faces, inside a picture of (w, h) px.
 
     `aspect` is width over height. A box beyond the picture's edge is moved inside, and reduced if it is too large.
     """
-    eyes = median_eyes_px(faces)
+    eyes = _median_eyes_px(faces)
     middles = np.array([_middle(face) for face in faces])
     first, last = np.percentile(middles, MOST_OF_PATH, axis=0)
     low = first - np.array([BESIDE, ABOVE]) * eyes
@@ -175,6 +175,6 @@ def head_crop(
     return x, y, w, h
 
 
-def median_eyes_px(faces: Sequence[FacePoints]) -> float:
+def _median_eyes_px(faces: Sequence[FacePoints]) -> float:
     """Compute the median distance between the eyes, px; a turned head shortens it."""
     return float(np.median([face.interocular_px for face in faces]))

@@ -109,7 +109,7 @@ def mouth_surroundings(height: int, width: int, faceframe: FaceFrame | None = No
     return _soft_ellipse(height, width, MOUTH_ELLIPSE, MOUTH_FROM_FACEFRAME, faceframe)
 
 
-def check_region(name: str) -> None:
+def _check_region(name: str) -> None:
     """Check that a name is one of `REGIONS`, or several joined by "+". Raises `BadInput` otherwise."""
     for part in name.split("+"):
         if part.strip() not in REGIONS:
@@ -152,7 +152,7 @@ def region_mask(
     >>> mask.shape, mask[30, 20].item(), mask[55, 30].item(), mask[0, 0].item()
     ((72, 60), 1.0, 1.0, 0.0)
     """
-    check_region(name)
+    _check_region(name)
     parts = [part.strip() for part in name.split("+")]
     mask: Mask = np.maximum.reduce([_part(part, height, width, faceframe, landmarks) for part in parts])
     mask.setflags(write=False)

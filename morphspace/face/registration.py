@@ -116,7 +116,7 @@ class Registration:
         points, weights = self._anchors
         corner = box[1].start, box[0].start
         grey = np.ascontiguousarray(self._grey[box])
-        field = dis_of_codes(grey, codes_of_luma(luma.moved(total, corner, grey.shape)))
+        field = _dis_of_codes(grey, _codes_of_luma(luma.moved(total, corner, grey.shape)))
         columns, rows = (points - corner).astype(np.intp).T
         step = _robust_affine(points, points + field[rows, columns], weights, self.kind)
         return warp.chain_affine(total, step)
@@ -191,12 +191,12 @@ def _moved_grid(
     return at_x.astype(np.float32), at_y.astype(np.float32)
 
 
-def codes_of_luma(luma: AnyArray) -> AnyArray:
+def _codes_of_luma(luma: AnyArray) -> AnyArray:
     """Convert luma (h, w) in [0, 1] to uint8, as `grey_codes` converts a picture."""
     return np.clip(luma * 255 + 0.5, 0, 255).astype(np.uint8)
 
 
-def dis_of_codes(reference: AnyArray, frame: AnyArray) -> Displacement:
+def _dis_of_codes(reference: AnyArray, frame: AnyArray) -> Displacement:
     """Estimate flow between grey pictures (h, w) uint8 by dense inverse search, preset "medium": approximate, and fast.
 
     It equals `flow.baselines.dis_medium`, which starts from colours.

@@ -86,7 +86,7 @@ def gaussian_derivative(order: int, sd_px: float, *, radius: int | None = None) 
         raise BadInput(
             f"the width of the Gaussian is {sd_px} px; expected more than 0. Enter a positive width"
         )
-    reach = radius_of(sd_px) if radius is None else radius
+    reach = _radius_of(sd_px) if radius is None else radius
     if reach < (order + 1) // 2:
         raise BadInput(
             f"the radius is {reach} px; expected at least {(order + 1) // 2} px for order {order}. Enlarge it"
@@ -94,7 +94,7 @@ def gaussian_derivative(order: int, sd_px: float, *, radius: int | None = None) 
     return _kernel(order, float(sd_px), reach).copy()
 
 
-def radius_of(sd_px: float) -> int:
+def _radius_of(sd_px: float) -> int:
     """Return the default radius of a kernel in px: 5 SD, at least 3, so that all six moments can be restored."""
     return max(3, ceil(5 * sd_px))
 

@@ -23,7 +23,7 @@ METHODS: dict[str, FlowMethod] = {
     "tvl1": baselines.stock(baselines.tvl1),
 }
 
-__all__ = ["DEFAULT", "METHODS", "NAMES", "for_morphs", "named", "named_backend"]
+__all__ = ["DEFAULT", "METHODS", "NAMES", "for_morphs", "named"]
 
 
 def named(name: str, backend: str = DEFAULT_BACKEND) -> FlowMethod:
@@ -34,7 +34,7 @@ def named(name: str, backend: str = DEFAULT_BACKEND) -> FlowMethod:
     name : str
         One of `METHODS`.
     backend : str
-        Where it runs; see `named_backend`. Only the presets of `multiscale` have a choice.
+        Where it runs; see `_named_backend`. Only the presets of `multiscale` have a choice.
 
     Raises
     ------
@@ -62,10 +62,10 @@ def named(name: str, backend: str = DEFAULT_BACKEND) -> FlowMethod:
             f"the flow is {name}; expected one of {', '.join(presets.PRESETS)} with the backend {backend}. "
             "Choose one of these or leave out the backend"
         )
-    return multiscale.method(presets.PRESETS[name], named_backend(backend))
+    return multiscale.method(presets.PRESETS[name], _named_backend(backend))
 
 
-def named_backend(name: str) -> Backend:
+def _named_backend(name: str) -> Backend:
     """Return the backend of a name.
 
     Parameters

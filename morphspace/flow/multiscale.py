@@ -71,10 +71,10 @@ def method(preset: Preset, backend: Backend | None = None) -> FlowMethod:
     Johnston, McOwan and Benton, Proc. R. Soc. B 266, 1999 (the constraints); the solver is ours (docs/methods.md,
     section 4).
     """
-    return lambda reference: matcher(reference, preset, backend or OpenCVBackend())
+    return lambda reference: _matcher(reference, preset, backend or OpenCVBackend())
 
 
-def matcher(reference: Image, preset: Preset, backend: Backend) -> FlowFunction:
+def _matcher(reference: Image, preset: Preset, backend: Backend) -> FlowFunction:
     """Prepare a reference for the flow to any number of frames.
 
     Parameters

@@ -107,7 +107,7 @@ def better(reference: Image, frame: Image, candidates: Sequence[Flow], mask: Mas
     return chosen
 
 
-def best_start(
+def _best_start(
     to_frame: FlowFunction,
     reference: Image,
     frame: Image,
@@ -296,7 +296,7 @@ class Pair:
 
     def reversed(self) -> Pair:
         """Return the pair for the backward flow, from frame to reference."""
-        start = None if self.start is None else approximate_inverse(self.start)
+        start = None if self.start is None else _approximate_inverse(self.start)
         landmarks = None if self.landmarks is None else self.landmarks[::-1]
         return Pair(self.frame, self.reference, start, landmarks)
 
@@ -359,12 +359,12 @@ def flow_from_best(method: FlowMethod, pair: Pair) -> tuple[str, Flow]:
             )
         starts["landmarks"] = spline
     to_frame = method(pair.reference)
-    return best_start(
+    return _best_start(
         partial(flow_between, lambda _: to_frame, pair.reference), pair.reference, pair.frame, starts
     )
 
 
-def approximate_inverse(displacement: Displacement) -> Displacement:
+def _approximate_inverse(displacement: Displacement) -> Displacement:
     """Invert a field (h, w, 2) px approximately, by the fixed point v(q) = -u(q + v(q)); for use as a start.
 
     It is fast and stays finite where the field folds. `warp.invert` is exact, but a wild field would need too much

@@ -95,13 +95,13 @@ def compare(
     Raises
     ------
     BadInput
-        As `check_sequences` raises it.
+        As `_check_sequences` raises it.
 
     References
     ----------
     Nagle et al., section 5.1 (distances and information measures); the tests are ours.
     """
-    check_sequences(stimulus_sd, imitation_sd)
+    _check_sequences(stimulus_sd, imitation_sd)
     baseline = baseline_of(len(imitation_sd), permutations, seed)
     stimulus, imitation = stimulus_sd * sd, imitation_sd * sd
     lags, curves = lag_curves(stimulus, imitation[None])
@@ -156,7 +156,7 @@ def compare(
     return Comparison({**measures, **tests, **also}, lags, curves[0, :, -1], best, baseline)
 
 
-def check_sequences(stimulus: LoadingTable, imitation: LoadingTable) -> None:
+def _check_sequences(stimulus: LoadingTable, imitation: LoadingTable) -> None:
     """Raise `BadInput` if sequences (n, k), (m, k) differ in k, have too few frames or values that are not finite."""
     for name, sequence in (("stimulus", stimulus), ("imitation", imitation)):
         if sequence.ndim != 2 or sequence.shape[1] < 1:

@@ -192,7 +192,7 @@ def _table(path: Path, model: MorphModel, stimulus: MorphModel, notes: list[str]
     inputs = {path.name: digest_of_file(path)}
     places = np.arange(len(loadings))
     return Motion(
-        name_of_table(path, document),
+        _name_of_table(path, document),
         table.frame_names,
         loadings,
         table.rate_hz,
@@ -204,7 +204,7 @@ def _table(path: Path, model: MorphModel, stimulus: MorphModel, notes: list[str]
     )
 
 
-def name_of_table(path: Path, document: LoadingsDocument | None) -> str:
+def _name_of_table(path: Path, document: LoadingsDocument | None) -> str:
     """Return the name of the motion in a table: the file's name, or the folder's if a verb named the file.
 
     Without a folder name it is the identity in the sidecar `document`.

@@ -5,7 +5,7 @@ are ignored. `.tps` (tpsDig, geomorph, webmorphR): `LM=` and the number, then on
 `.txt`: one line x y for each, separated by a comma, a semicolon or blanks; a heading (x, y) is allowed. All are in px
 of the image: pixel centres are integers, and y points down except in some `.tps`.
 
-`read_landmarks` returns all points. `read_marked_points` returns the eyes and the lip, from these files or from a
+`_read_landmarks` returns all points. `read_marked_points` returns the eyes and the lip, from these files or from a
 faceframe file (.json). The number of points identifies the template; TEMPLATES lists which of its points surround the
 eyes and the lip.
 
@@ -103,7 +103,7 @@ class MarkedPoints:
     notes: tuple[str, ...] = ()
 
 
-def read_landmarks(path: str | Path) -> Points:
+def _read_landmarks(path: str | Path) -> Points:
     """Read landmarks (m, 2) px, m >= 1, in the order of the file.
 
     Raises
@@ -139,7 +139,7 @@ def read_landmark_pair(reference: str | Path, frame: str | Path) -> tuple[Points
     >>> (second - first).tolist()
     [[0.0, 1.0], [0.0, 1.0]]
     """
-    one, other = read_landmarks(reference), read_landmarks(frame)
+    one, other = _read_landmarks(reference), _read_landmarks(frame)
     if len(one) != len(other):
         raise BadInput(
             f"{reference} has {len(one)} landmarks, {frame} has {len(other)}; expected equal numbers. Mark the same "
@@ -188,9 +188,9 @@ def read_marked_points(
         faceframe = read_faceframe(path)
         points, notes = faceframe.points, faceframe.notes
     elif suffix == ".tps":
-        points = _one_specimen(path, read_tps(path))
+        points = _one_specimen(path, _read_tps(path))
     elif suffix in SUFFIXES:
-        points = read_landmarks(path)
+        points = _read_landmarks(path)
     else:
         raise BadInput(
             f"{path} is not a points file by its name; expected .tem, .tps, .csv, .txt or .json. Rename it"
@@ -277,7 +277,7 @@ def check_inside(path: Path, points: Points, size: tuple[int, int], picture: str
     )
 
 
-def read_tps(path: str | Path) -> tuple[tuple[str, Points], ...]:
+def _read_tps(path: str | Path) -> tuple[tuple[str, Points], ...]:
     """Read a `.tps`: for each specimen its name and landmarks (m, 2) px, y as written.
 
     The name is IMAGE=, else ID=, else the number of the specimen. Curves and SCALE= are ignored: points are in px.

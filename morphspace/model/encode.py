@@ -27,7 +27,7 @@ ENLARGED_MUCH = 2.5
 STRANGE = 1.0
 
 
-def check_components(components: int | None) -> None:
+def _check_components(components: int | None) -> None:
     """Check that a number of components is at least 1. Raises `BadInput` otherwise."""
     if components is not None and components < 1:
         raise BadInput(f"components is {components}; expected at least 1")
@@ -45,7 +45,7 @@ def components_used(components: int | None, known: int, what: str) -> tuple[int,
     >>> components_used(None, 20, "Ann")
     (20, ())
     """
-    check_components(components)
+    _check_components(components)
     if components is None or components <= known:
         return components or known, ()
     return known, (f"{components} components were requested; {what} has {known}, and all are used",)

@@ -139,11 +139,11 @@ def build_clip(clip: Clip, asked: ClipSettings, work_folder: Path) -> Steps[tupl
         notes += found_crop.notes
     framing = Framing(clip.size, crop, asked.size or default_size(clip, crop))
     source = FramedClip(clip, framing)
-    notes += size_notes(framing, asked)
+    notes += _size_notes(framing, asked)
     if detector is not None and source.person is not None:
         detector = load_detector(person=source.person)
     mask, mask_digest = _mask(asked.mask, framing, clip.size)
-    faceframe, faceframe_index, faceframe_notes = marked_faceframe(clip, framing)
+    faceframe, faceframe_index, faceframe_notes = _marked_faceframe(clip, framing)
     notes += faceframe_notes
     settings = BuildSettings(
         components=asked.components,
@@ -165,7 +165,7 @@ def build_clip(clip: Clip, asked: ClipSettings, work_folder: Path) -> Steps[tupl
     return build, tuple(notes)
 
 
-def source_size(size: tuple[int, int], crop: tuple[int, int, int, int] | None) -> tuple[int, int]:
+def _source_size(size: tuple[int, int], crop: tuple[int, int, int, int] | None) -> tuple[int, int]:
     """Return the size (w, h) px of the used part of each image: the crop, or the whole."""
     return size if crop is None else (crop[2], crop[3])
 
@@ -181,14 +181,14 @@ def default_size(clip: Clip, crop: tuple[int, int, int, int] | None) -> tuple[in
     >>> default_size(open_clip(["anna"]), None)
     (60, 72)
     """
-    used = source_size(clip.size, crop)
+    used = _source_size(clip.size, crop)
     is_large = (
         used[0] * used[1] > MOST_STILL_PX if clip.video_indices is None else max(used) > DEFAULT_SIDE_PX
     )
     return DEFAULT_SIZE if is_large else used
 
 
-def size_notes(framing: Framing, asked: ClipSettings) -> tuple[str, ...]:
+def _size_notes(framing: Framing, asked: ClipSettings) -> tuple[str, ...]:
     """Note that frames are scaled or cropped, or large, with the size of the model file at other sizes."""
     used, size = framing.box[2:], framing.size
 
@@ -244,7 +244,7 @@ def _index_of(reference: str, clip: Clip) -> int:
     )
 
 
-def marked_faceframe(clip: Clip, framing: Framing) -> tuple[FaceFrame | None, int | None, tuple[str, ...]]:
+def _marked_faceframe(clip: Clip, framing: Framing) -> tuple[FaceFrame | None, int | None, tuple[str, ...]]:
     """Read the faceframe of a clip's sidecar at the model's size.
 
     Returns

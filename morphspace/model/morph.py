@@ -75,13 +75,13 @@ class MorphOffset:
     def __add__(self, other: MorphOffset) -> MorphOffset:
         if not isinstance(other, MorphOffset):
             return NotImplemented
-        check_same_reference(self, other)
+        _check_same_reference(self, other)
         return MorphOffset(self.vector + other.vector, self.shape, self.reference_id)
 
     def __sub__(self, other: MorphOffset) -> MorphOffset:
         if not isinstance(other, MorphOffset):
             return NotImplemented
-        check_same_reference(self, other)
+        _check_same_reference(self, other)
         return MorphOffset(self.vector - other.vector, self.shape, self.reference_id)
 
     def __mul__(self, gain: float) -> MorphOffset:
@@ -150,13 +150,13 @@ class Morph:
     def __sub__(self, other: Morph) -> MorphOffset:
         if not isinstance(other, Morph):
             return NotImplemented
-        check_same_reference(self, other)
+        _check_same_reference(self, other)
         return MorphOffset(self.vector - other.vector, self.shape, self.reference_id)
 
     def __add__(self, offset: MorphOffset) -> Morph:
         if not isinstance(offset, MorphOffset):
             return NotImplemented
-        check_same_reference(self, offset)
+        _check_same_reference(self, offset)
         return Morph(self.vector + offset.vector, self.shape, self.reference_id)
 
     def render(self) -> Image:
@@ -210,7 +210,7 @@ def _shape_of(texture: Image) -> tuple[int, int]:
     return texture.shape[0], texture.shape[1]
 
 
-def check_same_reference(one: Morph | MorphOffset, other: Morph | MorphOffset) -> None:
+def _check_same_reference(one: Morph | MorphOffset, other: Morph | MorphOffset) -> None:
     """Check that two faces lie on the same mean face. Raises `ReferenceMismatch` otherwise."""
     if one.reference_id != other.reference_id:
         raise ReferenceMismatch(

@@ -57,7 +57,7 @@ class SmallFrame:
     mask : array (h, w)
         The face in it.
     contrast : float
-        `mouth_contrast` at full size.
+        `_mouth_contrast` at full size.
     """
 
     image: Image
@@ -76,7 +76,7 @@ def shrunk(image: Image, faceframe: FaceFrame | None) -> SmallFrame:
     return SmallFrame(
         cv2.resize(image, size, interpolation=cv2.INTER_AREA),
         cv2.resize(face_mask(height, width, faceframe), size, interpolation=cv2.INTER_AREA),
-        mouth_contrast(image, mouth_surroundings(height, width, faceframe)),
+        _mouth_contrast(image, mouth_surroundings(height, width, faceframe)),
     )
 
 
@@ -173,7 +173,7 @@ def _missing(reference: Image, frame: Image, mask: Mask) -> float:
     return sum(missed) / 2
 
 
-def mouth_contrast(image: Image, region: Mask) -> float:
+def _mouth_contrast(image: Image, region: Mask) -> float:
     """Compute the SD of luma in the mouth region (h, w): small for closed lips, large for a visible mouth cavity."""
     inside = (image @ LUMA)[region > 0.5]
     return float(inside.std()) if inside.size else 0.0

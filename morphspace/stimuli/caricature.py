@@ -70,7 +70,7 @@ def caricatured(
     return np.asarray(loadings_sd * factors, np.float64)
 
 
-def caricature_drawing(
+def _caricature_drawing(
     name: str,
     veridical: LoadingTable,
     gains: Mapping[str, float],
@@ -134,7 +134,7 @@ def caricature_drawing(
     )
 
 
-def caricature_region(region: str | None, model: MorphModel) -> tuple[Mask | None, dict[str, str]]:
+def _caricature_region(region: str | None, model: MorphModel) -> tuple[Mask | None, dict[str, str]]:
     """Return the mask (h, w) and digest of a region's file, or None and {} for a named region.
 
     Raises
@@ -161,11 +161,11 @@ def change_of(request: Any, model: MorphModel) -> tuple[Change, dict[str, str]]:
     """Check gains, components and region of a request of `caricature`; return its change, and the region's digest."""
     gains = crossed_gains(request.gains, request.warp_gains, request.texture_gains)
     components = None if request.components is None else components_named(request.components, model.rank)
-    mask, inputs = caricature_region(request.region, model)
+    mask, inputs = _caricature_region(request.region, model)
 
     def drawings(name: str, veridical: LoadingTable, frame_rate_hz: float | None = None) -> list[Drawing]:
         return [
-            caricature_drawing(
+            _caricature_drawing(
                 name,
                 veridical,
                 one,

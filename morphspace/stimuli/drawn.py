@@ -52,7 +52,7 @@ def morphs_and_images(
     model: MorphModel, drawing: Drawing, originals: Iterable[Image] | None, workers: int
 ) -> Iterator[tuple[Morph, Image]]:
     """Yield the morph and the image (h, w, 3) of each frame, in order, drawn by `workers` threads."""
-    mask = mask_of(model, drawing)
+    mask = _mask_of(model, drawing)
     count = len(drawing.loadings_sd)
     if drawing.placing is not None and originals is None:
         raise BadInput(
@@ -61,7 +61,7 @@ def morphs_and_images(
 
     def frame(item: tuple[int, Image | None]) -> tuple[Morph, Image]:
         row, original = item
-        morph = morph_at(model, drawing, row, mask)
+        morph = _morph_at(model, drawing, row, mask)
         image = morph.render()
         if original is not None and drawing.placing is not None:
             image = model.placed(image, original, drawing.placing.registrations[row])
@@ -75,7 +75,7 @@ def morphs_and_images(
     yield from map(frame, items) if workers == 1 else in_order(frame, items, workers)
 
 
-def mask_of(model: MorphModel, drawing: Drawing) -> Mask | None:
+def _mask_of(model: MorphModel, drawing: Drawing) -> Mask | None:
     """Return the mask (h, w) of a drawing's region on the mean face; None for the whole face."""
     if drawing.region is None:
         return None
@@ -88,8 +88,8 @@ def mask_of(model: MorphModel, drawing: Drawing) -> Mask | None:
     return mask
 
 
-def morph_at(model: MorphModel, drawing: Drawing, row: int, mask: Mask | None) -> Morph:
-    """Return the morph of one frame of a drawing, with the mask that `mask_of` returns."""
+def _morph_at(model: MorphModel, drawing: Drawing, row: int, mask: Mask | None) -> Morph:
+    """Return the morph of one frame of a drawing, with the mask that `_mask_of` returns."""
     colour = None if drawing.colour_sd is None else drawing.colour_sd[row]
     inside = _morph(model, drawing.loadings_sd[row], colour)
     if mask is None or drawing.outside_sd is None:

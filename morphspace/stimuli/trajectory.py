@@ -37,7 +37,7 @@ def step_lengths(loadings: LoadingTable, weights: AnyArray) -> AnyArray:
     return np.sqrt((np.diff(loadings * weights, axis=0) ** 2).sum(axis=1))
 
 
-def usual_step(tables: Sequence[LoadingTable], weights: AnyArray) -> float:
+def _usual_step(tables: Sequence[LoadingTable], weights: AnyArray) -> float:
     """Return the median step of motions; of the non-zero steps if most are 0, and 0 if all are."""
     steps = np.concatenate([step_lengths(table, weights) for table in tables])
     if not steps.any():
@@ -46,7 +46,7 @@ def usual_step(tables: Sequence[LoadingTable], weights: AnyArray) -> float:
     return median if median > 0 else float(np.median(steps[steps > 0]))
 
 
-def bridge(
+def _bridge(
     before: LoadingTable, after: LoadingTable, weights: AnyArray, most_step: float, frames: int | None = None
 ) -> LoadingTable:
     """Return frames (m, k) that lead smoothly from the end of one motion (n, k) to the start of another (ours).
@@ -122,7 +122,7 @@ def spliced(
 ) -> LoadingTable:
     """Join motions (n_i, k) in order by smooth transitions; all their frames are kept.
 
-    A transition is a `bridge` with steps no longer than the median step of all motions, or with `join_frames` frames.
+    A transition is a `_bridge` with steps no longer than the median step of all motions, or with `join_frames` frames.
 
     Examples
     --------
@@ -133,10 +133,10 @@ def spliced(
     """
     for table in tables[1:]:
         check_same_components(tables[0], table)
-    most = usual_step(tables, weights)
+    most = _usual_step(tables, weights)
     parts = [tables[0]]
     for before, after in pairwise(tables):
-        parts += [bridge(before, after, weights, most, join_frames), after]
+        parts += [_bridge(before, after, weights, most, join_frames), after]
     return _bounded(np.concatenate(parts))
 
 
@@ -157,8 +157,8 @@ def looped(loadings: LoadingTable, weights: AnyArray, join_frames: int | None = 
         raise BadInput(
             f"the number of frames of the motion is {len(loadings)}; expected at least 3 for a loop. Use a longer one"
         )
-    most = usual_step([loadings], weights)
-    return _bounded(np.concatenate([loadings, bridge(loadings, loadings, weights, most, join_frames)]))
+    most = _usual_step([loadings], weights)
+    return _bounded(np.concatenate([loadings, _bridge(loadings, loadings, weights, most, join_frames)]))
 
 
 def there_and_back(loadings: LoadingTable) -> LoadingTable:
@@ -263,7 +263,7 @@ def averaged(tables: Sequence[LoadingTable], weights: AnyArray) -> LoadingTable:
     for table in tables[1:]:
         check_same_components(tables[0], table)
     mean = tables[_nearest_to_all(tables, weights)]
-    still = STILL * usual_step(tables, weights)
+    still = STILL * _usual_step(tables, weights)
     for _ in range(AVERAGING_ROUNDS):
         places = [positions_like(table, mean, weights) for table in tables]
         before = mean

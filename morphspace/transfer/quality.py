@@ -150,7 +150,7 @@ def reach_of(source: MorphModel, target: MorphModel, gain: float, neutral: Neutr
     eyes_px = float(np.hypot(*(left - right)))
     fields = target.component_displacements.reshape(target.rank, -1, 2)
     components = np.take(fields, places, axis=1).reshape(target.rank, -1)
-    openings = openings_of(source, target, neutral)
+    openings = _openings_of(source, target, neutral)
     start = np.zeros((len(places), 2), np.float32)
     neutral_texture = np.zeros_like(target.mean.texture)
     if target_neutral is not None:
@@ -199,7 +199,7 @@ class Openings:
         return wanted + self.target_neutral - self.most
 
 
-def openings_of(source: MorphModel, target: MorphModel, neutral: Neutral) -> Openings | None:
+def _openings_of(source: MorphModel, target: MorphModel, neutral: Neutral) -> Openings | None:
     """Prepare the lip openings of a pair; None if a model has no landmark regression."""
     if source.landmarks is None or target.landmarks is None:
         return None

@@ -20,7 +20,7 @@ from morphspace.avatar.common_grid import (
 )
 from morphspace.avatar.distances import mean_face_distances
 from morphspace.avatar.notes import gaze
-from morphspace.avatar.sharpness import Curve, curve, detail, mean_curve, sharpened
+from morphspace.avatar.sharpness import Curve, _detail, curve, mean_curve, sharpened
 from morphspace.avatar.studio import studio_of
 from morphspace.avatar.versions import Cast, Gaps, Version, believed, falling
 from morphspace.cache import result_file, write_result
@@ -177,7 +177,7 @@ def test_sharpening_adds_the_difference_from_a_blur(picture):
     wave = np.repeat(np.tile(0.1 * np.cos(2 * np.pi * x / 10), (40, 1))[..., None], 3, axis=2)
     kept = 1 - np.exp(-((2 * np.pi * 1.2 / 10) ** 2) / 2)
     middle = np.s_[10:30, 50:150]
-    assert_allclose(detail(wave)[middle], kept * wave[middle], atol=2e-3)
+    assert_allclose(_detail(wave)[middle], kept * wave[middle], atol=2e-3)
     mask = np.full((40, 200), 0.5, np.float32)
     assert_allclose(sharpened(wave, mask, 2.0)[middle], (1 + kept) * wave[middle], atol=2e-3)
     assert sharpened(wave, mask, 0) is wave

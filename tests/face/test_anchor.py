@@ -8,7 +8,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from morphspace.errors import BadInput
 from morphspace.face import anchor
-from morphspace.face.anchor import HELD, FaceAnchor, anchor_of_build, anchor_on, rigid_movement, spline_from
+from morphspace.face.anchor import HELD, FaceAnchor, _anchor_on, anchor_of_build, rigid_movement, spline_from
 from morphspace.face.detector import Detector, MissingModels
 from morphspace.face.mesh import INNER_LIPS, POINT_COUNT, FacePoints
 from morphspace.flow import Flow
@@ -135,7 +135,7 @@ def test_a_frame_without_a_face_or_with_a_start_of_its_own_goes_to_the_flow_as_i
 
 
 def test_a_reference_without_a_face_anchors_nothing(picture):
-    assert anchor_on(picture(HEIGHT, WIDTH), Detector(lambda image: None, {"version": 1})) is None
+    assert _anchor_on(picture(HEIGHT, WIDTH), Detector(lambda image: None, {"version": 1})) is None
 
 
 ANCHORED = {"landmarks": {"reference_has_face": True, "anchored": True}}

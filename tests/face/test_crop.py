@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from morphspace.errors import BadInput
-from morphspace.face.crop import check_one_person, crop_steps, head_crop, several_notes
+from morphspace.face.crop import _head_crop, check_one_person, crop_steps, several_notes
 from morphspace.face.detector import Detector, detector_for
 from morphspace.face.mesh import LEFT_LIDS, PHILTRUM, POINT_COUNT, RIGHT_LIDS, FacePoints
 from morphspace.io.clips import open_clip
@@ -28,7 +28,7 @@ def face_at(x, y, eyes_px):
 
 
 def test_a_face_at_rest_gives_the_proportions_of_a_cropped_head():
-    x, y, w, h = head_crop([face_at(300, 200, 60)] * 5, PICTURE, 2 * BESIDE / (ABOVE + BELOW))
+    x, y, w, h = _head_crop([face_at(300, 200, 60)] * 5, PICTURE, 2 * BESIDE / (ABOVE + BELOW))
     assert w == pytest.approx(2 * BESIDE * 60, abs=1)  # px: whole numbers
     assert h == pytest.approx((ABOVE + BELOW) * 60, abs=1)
     assert x + w / 2 == pytest.approx(300.5, abs=1)
@@ -37,19 +37,19 @@ def test_a_face_at_rest_gives_the_proportions_of_a_cropped_head():
 
 def test_the_box_holds_the_head_wherever_it_went():
     faces = [face_at(x, 220, 50) for x in np.linspace(250, 380, 41)]
-    x, _, w, _ = head_crop(faces, PICTURE, 200 / 240)
+    x, _, w, _ = _head_crop(faces, PICTURE, 200 / 240)
     first, last = np.percentile([250, 380], [5, 95])
     assert x <= first - BESIDE * 50 + 1 and x + w >= last + BESIDE * 50 - 1
 
 
 def test_one_frame_that_found_something_else_does_not_decide():
     calm = [face_at(300, 200, 60)] * 30
-    assert head_crop([*calm, face_at(560, 430, 25)], PICTURE, 5 / 6) == head_crop(calm, PICTURE, 5 / 6)
+    assert _head_crop([*calm, face_at(560, 430, 25)], PICTURE, 5 / 6) == _head_crop(calm, PICTURE, 5 / 6)
 
 
 @given(st.floats(0, 640), st.floats(0, 480), st.floats(8, 600), st.sampled_from([0.5, 5 / 6, 1.0, 1.9]))
 def test_the_box_lies_in_the_picture_and_has_the_aspect(x, y, eyes_px, aspect):
-    left, top, w, h = head_crop([face_at(x, y, eyes_px)], PICTURE, aspect)
+    left, top, w, h = _head_crop([face_at(x, y, eyes_px)], PICTURE, aspect)
     assert left >= 0 and top >= 0 and w >= 1 and h >= 1 and left + w <= PICTURE[0] and top + h <= PICTURE[1]
     # Sides are whole numbers: each may be off by half a pixel.
     assert abs(w - aspect * h) <= 0.5 + 0.5 * aspect + 1e-6
@@ -74,7 +74,7 @@ def test_the_crop_is_found_in_a_spread_of_frames_and_says_in_how_many(tmp_path):
     crop = result_of(crop_steps(clip_folder(tmp_path / "clip", 30), Detector(find, {"version": 1}), 5 / 6))
     assert crop.frames == len(asked) == CROP_FRAMES and {0, 29} <= set(asked)
     assert crop.found == CROP_FRAMES - 1 and crop.eyes_px == pytest.approx(10)
-    assert crop.box == head_crop([face_at(32, 20, 10)], (64, 48), 5 / 6)
+    assert crop.box == _head_crop([face_at(32, 20, 10)], (64, 48), 5 / 6)
 
 
 def test_a_clip_without_faces_is_not_cropped_at_random(tmp_path):

@@ -14,7 +14,15 @@ from skimage import data as pictures
 
 from morphspace.errors import BadInput
 from morphspace.face.detector import Detector, MissingModels, load_detector, models_present
-from morphspace.face.detector.boxes import FaceBox, anchors, decode, in_order_of, overlap, person_of, suppress
+from morphspace.face.detector.boxes import (
+    FaceBox,
+    _anchors,
+    decode,
+    in_order_of,
+    overlap,
+    person_of,
+    suppress,
+)
 from morphspace.face.detector.crops import Crop, along, whole_image
 from morphspace.face.detector.detect import EYES, LID_ORDER, _crop_of_box, _find_boxes
 from morphspace.face.mesh import (
@@ -54,7 +62,7 @@ def test_a_detector_is_known_by_its_identity_and_needs_one():
 
 
 def test_anchors_are_the_cell_centres_of_both_grids():
-    found = anchors()
+    found = _anchors()
     assert found.shape == (896, 2)
     assert_array_equal(found[0], found[1])
     assert_allclose(found[0], (4, 4))
@@ -68,7 +76,7 @@ def test_decoded_box_stands_on_its_anchor():
     scores[5] = 3.0
     regressors[5] = [1, 2, 30, 20, *range(12)]
     (face,) = decode(scores, regressors)
-    anchor = anchors()[5] - 0.5  # pixel centres at integers
+    anchor = _anchors()[5] - 0.5  # pixel centres at integers
     assert_allclose(face.corners.mean(axis=0), anchor + np.array([1, 2]))
     assert_allclose(face.corners[1] - face.corners[0], (30, 20))
     assert_allclose(face.marks, anchor + np.arange(12).reshape(6, 2))

@@ -9,7 +9,7 @@ import pytest
 
 from morphspace.face import regions
 from morphspace.face.anchor import HELD, spline_from
-from morphspace.face.crop import head_crop
+from morphspace.face.crop import _head_crop
 from morphspace.face.expression import distance_from_neutral, lid_opening
 from morphspace.face.mesh import LANDMARKS, LEFT_LIDS, RIGHT_LIDS
 from morphspace.face.registration import Registration, fitted_similarity
@@ -138,8 +138,8 @@ def test_the_crop_of_a_drawn_head(drawn_anna):
     face = drawn_anna.points()
     eyes_px, (across, down) = face.interocular_px, 1400 + face.faceframe().points[:2].mean(axis=0)
     path = [face.moved(np.add(face.points, (1400 + shift, 1400))) for shift in (0, 20, 40, 60, 80)]
-    x, _, w, _ = head_crop(path, (3000, 3000), 0.1)  # taller than the head needs
-    _, y, _, h = head_crop(path, (3000, 3000), 3.0)  # wider
+    x, _, w, _ = _head_crop(path, (3000, 3000), 0.1)  # taller than the head needs
+    _, y, _, h = _head_crop(path, (3000, 3000), 3.0)  # wider
     assert (x, w) == pytest.approx((across + 4 - 1.75 * eyes_px, 72 + 3.5 * eyes_px), abs=1)
     assert (y, h) == pytest.approx((down - 1.95 * eyes_px, 4.3 * eyes_px), abs=1)
 

@@ -90,7 +90,7 @@ def test_a_later_pass_is_done_on_the_frame_as_the_earlier_ones_left_it(picture, 
         seen.append(frame)
         return warp.affine_displacement(left.pop(0), HEIGHT, WIDTH)
 
-    monkeypatch.setattr(registration, "dis_of_codes", flow)
+    monkeypatch.setattr(registration, "_dis_of_codes", flow)
     image = picture(HEIGHT, WIDTH)
     found = register(image, image, "similarity", rigid_region(HEIGHT, WIDTH))
     # reference(p) = aligned(second p) = image(first second p)
@@ -101,16 +101,16 @@ def test_a_later_pass_is_done_on_the_frame_as_the_earlier_ones_left_it(picture, 
 def test_flow_of_codes_is_the_flow_of_their_pictures(picture):
     one, other = picture(HEIGHT, WIDTH, seed=1), picture(HEIGHT, WIDTH, seed=2)
     assert np.array_equal(
-        registration.dis_of_codes(grey_codes(one), grey_codes(other)), dis_medium(one, other)
+        registration._dis_of_codes(grey_codes(one), grey_codes(other)), dis_medium(one, other)
     )
 
 
 def test_a_start_that_flow_confirms_is_all_that_is_looked_at(picture, monkeypatch):
     movement = similarity(3.0, 1.02, (2.0, -1.0))
     reference, image = moved_picture(picture, movement)
-    region, seen, find = rigid_region(HEIGHT, WIDTH), [], registration.dis_of_codes
+    region, seen, find = rigid_region(HEIGHT, WIDTH), [], registration._dis_of_codes
     monkeypatch.setattr(
-        registration, "dis_of_codes", lambda *codes: seen.append(codes[0].size) or find(*codes)
+        registration, "_dis_of_codes", lambda *codes: seen.append(codes[0].size) or find(*codes)
     )
     start = warp.chain_affine(movement, similarity(0.5, 1.0, (0.8, -0.6)))
     assert rigid_miss_px(register(reference, image, "similarity", region, start), movement) < 0.05  # px
@@ -139,7 +139,7 @@ def test_one_registration_serves_many_images(picture):
 
 
 def test_a_movement_that_is_no_number_is_refused(picture, monkeypatch):
-    monkeypatch.setattr(registration, "dis_of_codes", lambda one, other: np.full((HEIGHT, WIDTH, 2), np.nan))
+    monkeypatch.setattr(registration, "_dis_of_codes", lambda one, other: np.full((HEIGHT, WIDTH, 2), np.nan))
     image = picture(HEIGHT, WIDTH)
     with pytest.raises(BadInput, match="not finite"), np.errstate(invalid="ignore"):
         register(image, image, "similarity", rigid_region(HEIGHT, WIDTH))

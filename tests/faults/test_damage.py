@@ -66,7 +66,7 @@ READERS = {
     "metrics": tables.read_metrics_table,
     "clip": sidecars.read_sidecar,
     "stimulus": read_stimulus_sidecar,
-    "points": points.read_landmarks,
+    "points": points._read_landmarks,
     "png": images.read_image,
     "exr": images.read_image,
     "jpg": images.read_image,

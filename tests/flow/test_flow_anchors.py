@@ -62,7 +62,7 @@ def measured(anna, ben):
     points = np.asarray(anna.model.provenance["keypoints"]["points"])[list(LANDMARKS)]
     spline = starts.landmark_spline(points, warp.move_points(truth, points), height, width)
     found["spline at the edge"] = 1000 * np.abs(np.diff(spline[:, 0], 2, axis=0)).mean()
-    found["inverse"] = np.abs(starts.approximate_inverse(truth)).mean()
+    found["inverse"] = np.abs(starts._approximate_inverse(truth)).mean()
     clip = [anna.actor.draw(Expression(jaw_open=0.02 * n)).image[40:, :, 1] for n in range(23)]
     video = motion(np.stack(clip))
     found["opening"] = video.velocity[12, 10:-10, 20:-20, 1].mean()

@@ -12,7 +12,7 @@ from morphspace.errors import BadInput
 from morphspace.flow.backends import OpenCVBackend
 from morphspace.flow.constraints import Channels
 from morphspace.flow.filters import gaussian_derivative
-from morphspace.flow.methods import named_backend
+from morphspace.flow.methods import _named_backend
 from morphspace.flow.multiscale import method
 from morphspace.flow.presets import PRESETS, Preset
 from morphspace.grid import warp
@@ -30,7 +30,7 @@ def ours():
     """Return the torch backend, on a GPU if there is one."""
     torch = pytest.importorskip("torch")
     torch.set_num_threads(1)
-    return named_backend("torch")
+    return _named_backend("torch")
 
 
 def noise(shape, seed=0, planes=3):
@@ -325,7 +325,7 @@ def test_the_same_pair_gives_the_same_bytes(ours, picture, wavy_field):
 
 def test_only_the_result_leaves_the_device(monkeypatch, picture):
     torch = pytest.importorskip("torch")
-    backend = named_backend("torch:cpu")
+    backend = _named_backend("torch:cpu")
     backend.device = torch.device("meta")  # shapes without values; mixing it with the CPU raises, as on a GPU
     monkeypatch.setattr(torch.Tensor, "__float__", lambda tensor: 1.0)  # the smoother reads when to stop
     back = []
@@ -344,28 +344,28 @@ def test_only_the_result_leaves_the_device(monkeypatch, picture):
 
 
 def test_opencv_is_chosen_by_name():
-    assert isinstance(named_backend("opencv"), OpenCVBackend)
+    assert isinstance(_named_backend("opencv"), OpenCVBackend)
 
 
 def test_torch_uses_a_gpu_if_there_is_one(ours):
     import torch
 
-    chosen = named_backend("torch").planes(np.ones((1, 2, 2)))
+    chosen = _named_backend("torch").planes(np.ones((1, 2, 2)))
     assert chosen.device.type == ("cuda" if torch.cuda.is_available() else "cpu")
-    assert named_backend("torch:cpu").planes(np.ones((1, 2, 2))).device.type == "cpu"
+    assert _named_backend("torch:cpu").planes(np.ones((1, 2, 2))).device.type == "cpu"
 
 
 @pytest.mark.parametrize("name", ["numpy", "", "opencv:cpu", "tensorflow", "torchcpu"])
 def test_an_unknown_backend_is_named(name):
     with pytest.raises(BadInput, match=f"backend is {name!r}; expected opencv, torch"):
-        named_backend(name)
+        _named_backend(name)
 
 
 @pytest.mark.parametrize("device", ["gpu", "meta", "cuda:x", "cuda:99", "cpu:cpu"])
 def test_a_missing_device_is_named(device):
     pytest.importorskip("torch")
     with pytest.raises(BadInput, match=repr(device)) as caught:
-        named_backend(f"torch:{device}")
+        _named_backend(f"torch:{device}")
     assert "Choose" in str(caught.value)
     assert "\n" not in str(caught.value)
 
@@ -384,4 +384,4 @@ def test_without_torch_the_extra_is_named(monkeypatch):
     monkeypatch.delattr(morphspace.flow, "torch_backend", raising=False)
     monkeypatch.setattr(builtins, "__import__", without_torch)
     with pytest.raises(BadInput, match=r"install morphspace\[torch\]"):
-        named_backend("torch")
+        _named_backend("torch")

@@ -8,7 +8,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 from scipy import ndimage, special
 
 from morphspace.errors import BadInput
-from morphspace.flow.filters import MAX_ORDER, derivatives, gaussian_derivative, radius_of, up_to
+from morphspace.flow.filters import MAX_ORDER, _radius_of, derivatives, gaussian_derivative, up_to
 
 ORDERS = range(MAX_ORDER + 1)
 WIDTHS_PX = (0.5, 0.6, 0.7, 1.0, 1.5, 3.0**0.5, 3.0)
@@ -135,4 +135,4 @@ def test_a_colour_image_is_refused():
 
 
 def test_the_radius_grows_with_the_width():
-    assert (radius_of(0.5), radius_of(1.5), radius_of(3.0)) == (3, 8, 15)
+    assert (_radius_of(0.5), _radius_of(1.5), _radius_of(3.0)) == (3, 8, 15)

@@ -6,7 +6,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from morphspace.errors import BadInput
 from morphspace.flow import Flow, multiscale, presets, starts
-from morphspace.flow.starts import approximate_inverse, better, photometric_error
+from morphspace.flow.starts import _approximate_inverse, better, photometric_error
 from morphspace.grid import warp
 
 HEIGHT, WIDTH = 80, 64
@@ -144,18 +144,18 @@ def test_the_best_start_is_the_one_whose_flow_explains_the_frame(moved):
         asked.append(start)
         return flow_of(0.3 * truth if start is None else start)
 
-    name, flow = starts.best_start(
+    name, flow = starts._best_start(
         to_frame, reference, frame, {"none": None, "half": 0.5 * truth, "all": truth}
     )
     assert name == "all" and len(asked) == 3
     assert_array_equal(flow.displacement, truth)
     broken = folded(truth, 16)
-    assert starts.best_start(to_frame, reference, frame, {"none": None, "folds": broken})[0] == "none"
+    assert starts._best_start(to_frame, reference, frame, {"none": None, "folds": broken})[0] == "none"
     lower = MASK.copy()
     lower[: HEIGHT // 2] = 0
     choice = {"none": None, "lower": truth * lower[..., None]}
-    assert starts.best_start(to_frame, reference, frame, choice, lower)[0] == "lower"
-    assert starts.best_start(to_frame, reference, frame, choice, 1 - lower)[0] == "none"
+    assert starts._best_start(to_frame, reference, frame, choice, lower)[0] == "lower"
+    assert starts._best_start(to_frame, reference, frame, choice, 1 - lower)[0] == "none"
 
 
 # the spline through landmarks
@@ -273,7 +273,7 @@ def test_a_movement_larger_than_the_search_is_found_from_landmarks(picture):
     to_frame = multiscale.method(presets.BALANCED)(reference)
     mask = np.zeros((height, width), np.float32)
     mask[62:90, 32:60] = 1
-    name, flow = starts.best_start(to_frame, reference, frame, {"none": None, "landmarks": spline}, mask)
+    name, flow = starts._best_start(to_frame, reference, frame, {"none": None, "landmarks": spline}, mask)
     assert name == "landmarks"
     found_px, alone_px = (
         np.median(each.displacement[62:90, 32:60, 0]) for each in (flow, to_frame(frame, None))
@@ -283,6 +283,6 @@ def test_a_movement_larger_than_the_search_is_found_from_landmarks(picture):
 
 def test_an_approximate_inverse_stays_finite_where_the_field_folds():
     wild = np.random.default_rng(0).uniform(-90, 90, (48, 64, 2)).astype(np.float32)
-    assert np.isfinite(approximate_inverse(wild)).all()
+    assert np.isfinite(_approximate_inverse(wild)).all()
     there = np.broadcast_to(np.float32([3, -2]), (48, 64, 2)).copy()
-    assert_allclose(approximate_inverse(there), -there, atol=1e-5)
+    assert_allclose(_approximate_inverse(there), -there, atol=1e-5)

@@ -2,15 +2,15 @@
 
 from pathlib import Path
 
-from morphspace.imitation.motions import name_of_table
+from morphspace.imitation.motions import _name_of_table
 
 
 def test_a_motion_is_called_what_people_call_it():
     """A file that a verb named is called after its folder, any other after itself."""
-    assert name_of_table(Path("anna_to_ben/loadings.csv"), {}) == "anna_to_ben"
-    assert name_of_table(Path("anna/smile.csv"), {"identity": "ben"}) == "smile"
-    assert name_of_table(Path("loadings.csv"), {}) == Path.cwd().name
+    assert _name_of_table(Path("anna_to_ben/loadings.csv"), {}) == "anna_to_ben"
+    assert _name_of_table(Path("anna/smile.csv"), {"identity": "ben"}) == "smile"
+    assert _name_of_table(Path("loadings.csv"), {}) == Path.cwd().name
     named = {"identity": "ben", "source_identity": "anna"}
-    assert name_of_table(Path("/loadings.csv"), named) == "anna"
-    assert name_of_table(Path("/stimulus.csv"), {"identity": "ben"}) == "ben"
-    assert name_of_table(Path("/stimulus.csv"), {}) == "stimulus"
+    assert _name_of_table(Path("/loadings.csv"), named) == "anna"
+    assert _name_of_table(Path("/stimulus.csv"), {"identity": "ben"}) == "ben"
+    assert _name_of_table(Path("/stimulus.csv"), {}) == "stimulus"

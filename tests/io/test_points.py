@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
 
 from morphspace.errors import BadInput, UnreadableFile
-from morphspace.io.points import TEMPLATES, read_marked_points, read_tps
+from morphspace.io.points import TEMPLATES, _read_tps, read_marked_points
 from morphspace.io.sidecars import MarkedFaceframe, read_sidecar
 
 HEIGHT = 240
@@ -84,7 +84,7 @@ def test_every_program_gives_the_same_points(file, name, text):
 def test_a_file_of_another_system_is_read(tmp_path, content):
     (tmp_path / "a.tps").write_bytes(content)
     assert_allclose(read_marked_points(tmp_path / "a.tps", SIZE).points, POINTS, atol=1e-9)
-    name = read_tps(tmp_path / "a.tps")[0][0]
+    name = _read_tps(tmp_path / "a.tps")[0][0]
     assert name == ("M\xfcller.jpg" if b"ller" in content else "a.jpg")
 
 
@@ -144,7 +144,7 @@ def test_of_more_points_in_a_list_the_first_three_are_taken_and_that_is_said(fil
 
 def test_specimens_are_told_apart_by_their_picture(file):
     path = file("two.tps", tps(POINTS) + tps(POINTS * 2, "ID=b\n") + tps(POINTS[:2], ""))
-    specimens = read_tps(path)
+    specimens = _read_tps(path)
     assert [name for name, _ in specimens] == ["a.jpg", "b", "3"]
     assert_array_equal(specimens[1][1], POINTS * 2)
     with pytest.raises(BadInput, match="3 specimens"):

@@ -11,7 +11,7 @@ from morphspace.io.clips import Clip, open_clip
 from morphspace.io.framing import Framing
 from morphspace.io.images import write_image
 from morphspace.io.sidecars import Sidecar
-from morphspace.model.from_clip import ClipSettings, default_size, marked_faceframe, size_notes
+from morphspace.model.from_clip import ClipSettings, _marked_faceframe, _size_notes, default_size
 
 
 def test_a_build_says_that_it_exchanged_the_eyes_of_a_sidecar(tmp_path):
@@ -20,7 +20,7 @@ def test_a_build_says_that_it_exchanged_the_eyes_of_a_sidecar(tmp_path):
     (tmp_path / "clip.json").write_text(json.dumps({"faceframe": faceframe}))
     clip = open_clip([tmp_path])
     framing = Framing(clip.size, None, clip.size)
-    faceframe, _, notes = marked_faceframe(clip, framing)
+    faceframe, _, notes = _marked_faceframe(clip, framing)
     assert_array_equal(faceframe.points, [[14, 14.5], [30, 14], [22, 29]])
     assert "eyes were exchanged" in notes[0]
 
@@ -48,7 +48,7 @@ def test_what_is_done_to_the_size_is_said_with_what_it_costs():
     def notes(size, asked=None):
         asked = ClipSettings(size=asked)
         framing = Framing(size, None, asked.size or default_size(clip_of(size), None))
-        return "".join(size_notes(framing, asked))
+        return "".join(_size_notes(framing, asked))
 
     # 50 components of 5 float32 a pixel: 1000 bytes
     assert notes((450, 540)).startswith("the frames keep their 450x540 px: 50 components have 243 MB")

@@ -15,7 +15,7 @@ from morphspace.io.sidecars import MarkedFaceframe, Sidecar
 from morphspace.linear.pca import mean_row
 from morphspace.linear.rows import RowArray
 from morphspace.model.encode import notes_on_framing
-from morphspace.model.from_clip import ClipSettings, marked_faceframe
+from morphspace.model.from_clip import ClipSettings, _marked_faceframe
 from morphspace.model.keypoint_sources import detected_keypoints
 from morphspace.model.keypoints import detect_faceframe
 from morphspace.model.landmarks import learn_landmarks
@@ -147,9 +147,9 @@ def test_a_faceframe_is_at_least_four_pixels_wide_and_high(eyes_px, is_refused):
     clip = Clip("c", ("a",), (50, 40), Sidecar(faceframe=MarkedFaceframe("a", points)), (Path("a.png"),))
     if is_refused:
         with pytest.raises(BadInput, match="expected at least 4 px"):
-            marked_faceframe(clip, Framing(clip.size, None, clip.size))
+            _marked_faceframe(clip, Framing(clip.size, None, clip.size))
     else:
-        marked_faceframe(clip, Framing(clip.size, None, clip.size))
+        _marked_faceframe(clip, Framing(clip.size, None, clip.size))
 
 
 def test_a_warp_weight_is_at_most_a_thousand():

@@ -13,7 +13,7 @@ from morphspace.model.morph import (
     MEAN_FOLDS,
     Morph,
     MorphOffset,
-    check_same_reference,
+    _check_same_reference,
     deserialise,
     invert_mean_shape,
     morph_of,
@@ -80,7 +80,7 @@ def test_faces_of_different_reference_do_not_mix(face):
         lambda: here + (there - there),
         lambda: (here - here) + (there - there),
         lambda: (here - here) - (there - there),
-        lambda: check_same_reference(here, there),
+        lambda: _check_same_reference(here, there),
     ):
         with pytest.raises(ReferenceMismatch, match=r"here.*there"):
             wrong()

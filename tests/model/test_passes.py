@@ -16,7 +16,7 @@ from morphspace.grid import warp
 from morphspace.linear.quality import psnr_db, rms_px
 from morphspace.model import passes as build_module
 from morphspace.model.passes import BuildSettings, build_steps
-from morphspace.model.reference import mouth_contrast
+from morphspace.model.reference import _mouth_contrast
 from morphspace.steps import result_of
 
 PLAIN = BuildSettings(
@@ -179,7 +179,7 @@ def test_of_a_long_clip_evenly_spread_frames_are_looked_at_for_the_reference(cli
     assert place != few[place]  # which of the four, and below which of the nine
     for index, frame in zip(few, frames, strict=True):
         assert_allclose(frame.image, clip.pictures[index], atol=1e-6)
-        contrast = mouth_contrast(clip.pictures[index], mouth_surroundings(72, 60))
+        contrast = _mouth_contrast(clip.pictures[index], mouth_surroundings(72, 60))
         assert frame.contrast == pytest.approx(contrast)
         assert_allclose(frame.mask, face_mask(72, 60), atol=1e-6)
     assert (choice.index, choice.name) == (few[place], clip.names[few[place]])

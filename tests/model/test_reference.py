@@ -7,7 +7,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 from morphspace.face.regions import face_mask
 from morphspace.flow.baselines import LUMA, dis_medium, smoothed
 from morphspace.grid import warp
-from morphspace.model.reference import SmallFrame, mouth_contrast, reason_of, search, shrunk, spread
+from morphspace.model.reference import SmallFrame, _mouth_contrast, reason_of, search, shrunk, spread
 from morphspace.steps import Step, result_of
 
 # What the module documents, written out: a constant of it that changes fails a test here.
@@ -313,25 +313,25 @@ def test_mouth_contrast_is_the_sd_of_luma_in_the_region(picture):
     image, region = picture(40, 50), np.zeros((40, 50), np.float32)
     region[10:20, 5:30] = 1
     luma = image.astype(np.float64) @ LUMA.astype(np.float64)
-    assert mouth_contrast(image, region) == pytest.approx(luma[10:20, 5:30].std(), rel=1e-4)
+    assert _mouth_contrast(image, region) == pytest.approx(luma[10:20, 5:30].std(), rel=1e-4)
 
 
 def test_mouth_contrast_is_zero_for_closed_lips_and_half_for_half_dark_half_white():
     region = np.ones((20, 30), np.float32)
     image = np.full((20, 30, 3), 0.6, np.float32)
-    assert mouth_contrast(image, region) == pytest.approx(0, abs=1e-6)
+    assert _mouth_contrast(image, region) == pytest.approx(0, abs=1e-6)
     image[:10], image[10:] = 0, 1
-    assert mouth_contrast(image, region) == pytest.approx(0.5, rel=1e-5)
-    assert mouth_contrast(image, 0 * region) == 0.0
+    assert _mouth_contrast(image, region) == pytest.approx(0.5, rel=1e-5)
+    assert _mouth_contrast(image, 0 * region) == 0.0
 
 
 def test_colour_alone_and_what_lies_outside_the_region_are_no_mouth_contrast(picture):
     (image,) = tinted(np.array([0.4, -0.4, 0.2, 0.0]))
-    assert mouth_contrast(image, everywhere([image])) == pytest.approx(0, abs=1e-6)
+    assert _mouth_contrast(image, everywhere([image])) == pytest.approx(0, abs=1e-6)
     outside, region = picture(40, 50), np.zeros((40, 50), np.float32)
     region[10:20, 5:30] = 1
     changed = np.where(region[..., None] > 0.5, outside, 1 - outside)
-    assert_array_equal(mouth_contrast(changed, region), mouth_contrast(outside, region))
+    assert_array_equal(_mouth_contrast(changed, region), _mouth_contrast(outside, region))
 
 
 @pytest.mark.parametrize(("by_face", "limit"), [(False, "within 5% of"), (True, "within 15% of")])

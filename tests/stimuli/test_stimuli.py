@@ -11,7 +11,7 @@ from morphspace.face.faceframe import FaceFrame
 from morphspace.sets.stimulus_set import notes_on
 from morphspace.stimuli.caricature import caricatured, components_named
 from morphspace.stimuli.drawing import Drawing, Placing, check_name, drawing_of
-from morphspace.stimuli.drawn import draw, mask_of, morph_at
+from morphspace.stimuli.drawn import _mask_of, _morph_at, draw
 from morphspace.stimuli.plausibility import plausibility, plausible_limits_sd
 from morphspace.stimuli.sampling import drawn_sd
 from morphspace.verbs import sample
@@ -58,18 +58,18 @@ def test_a_drawing_goes_through_json_bit_equal():
 
 def test_shape_and_colour_may_have_loadings_of_their_own(model):
     drawing = Drawing("a", LOADINGS[:1], LOADINGS[1:])
-    morph = morph_at(model, drawing, 0, None)
+    morph = _morph_at(model, drawing, 0, None)
     shape, colour = model.expand(LOADINGS[0] * model.sd), model.expand(LOADINGS[1] * model.sd)
     np.testing.assert_allclose(morph.displacement, shape.displacement, atol=1e-5)  # px: float32 rounding
     np.testing.assert_allclose(morph.texture, colour.texture, atol=1e-6)
-    same = morph_at(model, Drawing("a", LOADINGS[:1], LOADINGS[:1]), 0, None)
+    same = _morph_at(model, Drawing("a", LOADINGS[:1], LOADINGS[:1]), 0, None)
     np.testing.assert_allclose(same.displacement, shape.displacement, atol=1e-5)
 
 
 def test_a_region_is_inside_inside_and_outside_outside(marked):
     drawing = Drawing("a", LOADINGS[:1], region="upper", outside_sd=LOADINGS[1:])
-    mask = mask_of(marked, drawing)
-    morph = morph_at(marked, drawing, 0, mask)
+    mask = _mask_of(marked, drawing)
+    morph = _morph_at(marked, drawing, 0, mask)
     inside, outside = marked.expand(LOADINGS[0] * marked.sd), marked.expand(LOADINGS[1] * marked.sd)
     for name in ("displacement", "texture"):
         found, one, other = (getattr(face, name) for face in (morph, inside, outside))

@@ -19,7 +19,7 @@ from morphspace.stimuli.plausibility import plausibility, plausible_limits_sd
 from morphspace.stimuli.sampling import drawn_sd
 from morphspace.stimuli.stepping import difference, equalised
 from morphspace.stimuli.timing import at_positions, positions_like, retimed, smoothed
-from morphspace.stimuli.trajectory import averaged, bridge, caricatured, usual_step
+from morphspace.stimuli.trajectory import _bridge, _usual_step, averaged, caricatured
 
 WEIGHTS = np.array([3.0, 1.0, 0.5])
 
@@ -38,8 +38,8 @@ def test_a_join_of_two_rough_motions():
     FADING_FRAMES: 17 and 20 frames, -1.647 and -1.930; VELOCITY_FRAMES 1 and 20: -1.979 and -1.745.
     """
     before, after = motion(1), motion(2)
-    short = bridge(before, after, WEIGHTS, usual_step([before, after], WEIGHTS))
-    given = bridge(before, after, WEIGHTS, 0.5, 12)
+    short = _bridge(before, after, WEIGHTS, _usual_step([before, after], WEIGHTS))
+    given = _bridge(before, after, WEIGHTS, 0.5, 12)
     assert len(short) == 17 and given[[1, -2], 1] == pytest.approx([-1.8013, 1.4725], abs=0.002)
 
 
@@ -185,7 +185,7 @@ def cutoff_of(sd_frames, rate_hz=25.0):
 
 def joined(steps):
     """Join two motions that stand `steps` of the longest step apart."""
-    return bridge(np.zeros((3, 1)), np.ones((3, 1)), np.ones(1), 1 / steps)
+    return _bridge(np.zeros((3, 1)), np.ones((3, 1)), np.ones(1), 1 / steps)
 
 
 @pytest.mark.parametrize(

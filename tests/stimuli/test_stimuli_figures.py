@@ -8,7 +8,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from morphspace.errors import BadInput
 from morphspace.stimuli import trajectory
-from morphspace.stimuli.caricature import caricature_drawing, caricatured, components_named
+from morphspace.stimuli.caricature import _caricature_drawing, caricatured, components_named
 from morphspace.stimuli.continuum import Line, given_positions, spaced_positions
 from morphspace.stimuli.drawing import Drawing, Placing, check_name, drawing_of
 from morphspace.stimuli.image_statistics import image_statistics, spectral_slope
@@ -17,12 +17,12 @@ from morphspace.stimuli.sampling import along, drawn_sd
 from morphspace.stimuli.stepping import as_shown, change, ciede2000, difference, unevenness
 from morphspace.stimuli.timing import at_positions, check_same_components, in_reverse, retimed
 from morphspace.stimuli.trajectory import (
-    bridge,
+    _bridge,
+    _usual_step,
     looped,
     scrambled_blocks,
     spliced,
     step_lengths,
-    usual_step,
 )
 
 ONE = np.ones(1)
@@ -70,21 +70,21 @@ def test_components_that_are_not_there_are_refused(words):
 
 def test_a_caricature_is_named_by_its_gains_and_changes_what_was_asked():
     faces = np.array([[1.0, -2.0, 0.5]])
-    plain = caricature_drawing("a", faces, {"gain": 1.5})
+    plain = _caricature_drawing("a", faces, {"gain": 1.5})
     assert (plain.name, plain.colour_sd, plain.region, plain.outside_sd) == ("a_g1.5", None, None, None)
     assert_array_equal(plain.loadings_sd, 1.5 * faces)
     assert plain.variables == {"frame": "a", "gain": 1.5}
-    apart = caricature_drawing(
+    apart = _caricature_drawing(
         "a", faces, {"warp_gain": 2.0, "texture_gain": 0.5}, components=(1,), components_named_as="2"
     )
     assert apart.name == "a_w2_t0.5" and apart.variables["components"] == "2"
     assert_array_equal(apart.loadings_sd, [[1.0, -4.0, 0.5]])
     assert_array_equal(apart.colour_sd, [[1.0, -1.0, 0.5]])
     for region, mask, told in (("mouth", None, "mouth"), ("masks/half.png", np.ones((2, 2)), "half.png")):
-        part = caricature_drawing("a", faces, {"gain": 2.0}, region=region, mask=mask)
+        part = _caricature_drawing("a", faces, {"gain": 2.0}, region=region, mask=mask)
         assert (part.region, part.variables["region"]) == (told, told)
         assert_array_equal(part.outside_sd, faces)
-    assert caricature_drawing("a", faces, {"gain": 2.0}, region="whole").region is None
+    assert _caricature_drawing("a", faces, {"gain": 2.0}, region="whole").region is None
     for gain in (np.inf, np.nan):
         with pytest.raises(BadInput):
             caricatured(faces, gain)
@@ -172,36 +172,36 @@ def test_steps_are_lengths_in_the_models_units():
     table = np.array([[0.0, 0.0], [3.0, 4.0], [3.0, 4.0]])
     assert_allclose(step_lengths(table, np.array([1.0, 1.0])), [5, 0])
     assert_allclose(step_lengths(table, np.array([2.0, 0.0])), [6, 0])
-    assert usual_step([column(0, 1, 4), column(0, 2)], ONE) == 2.0  # steps 1, 3 and 2
-    assert usual_step([column(0, 0, 0, 0, 3)], ONE) == 3.0  # most are 0
-    assert usual_step([column(1, 1)], ONE) == 0.0
+    assert _usual_step([column(0, 1, 4), column(0, 2)], ONE) == 2.0  # steps 1, 3 and 2
+    assert _usual_step([column(0, 0, 0, 0, 3)], ONE) == 3.0  # most are 0
+    assert _usual_step([column(1, 1)], ONE) == 0.0
 
 
 def test_a_join_has_the_frames_asked_for_and_stays_within_the_motions():
     before, after = column(0, 1, 2), column(9, 10, 11)
-    assert len(bridge(before, after, ONE, 1.0, 5)) == 5
-    long = bridge(before, after, ONE, 1.0)
+    assert len(_bridge(before, after, ONE, 1.0, 5)) == 5
+    long = _bridge(before, after, ONE, 1.0)
     whole = np.concatenate([before[-1:], long, after[:1]])
     assert step_lengths(whole, ONE).max() <= 1 + 1e-9 and len(long) >= 6
-    shorter = bridge(before, after, ONE, 1.0, len(long) - 1)
+    shorter = _bridge(before, after, ONE, 1.0, len(long) - 1)
     assert step_lengths(np.concatenate([before[-1:], shorter, after[:1]]), ONE).max() > 1  # no fewer would do
-    assert len(bridge(column(0, 1, 2), column(2, 3, 4), ONE, 1.0)) == 0  # the same face
-    assert len(bridge(column(0, 1, 2), column(3, 4, 5), ONE, 1.0)) == 0  # a step away
-    still = bridge(column(5.0), column(8.0), ONE, 1.0, 2)  # one frame has no velocity
+    assert len(_bridge(column(0, 1, 2), column(2, 3, 4), ONE, 1.0)) == 0  # the same face
+    assert len(_bridge(column(0, 1, 2), column(3, 4, 5), ONE, 1.0)) == 0  # a step away
+    still = _bridge(column(5.0), column(8.0), ONE, 1.0, 2)  # one frame has no velocity
     assert_allclose(still.ravel(), [5 + 3 * (1 / 9) * (3 - 2 / 3), 5 + 3 * (4 / 9) * (3 - 4 / 3)])
 
 
 def test_a_join_leaves_and_arrives_with_the_velocities_of_the_motions():
     """Velocities over two frames, at most the longest step; their decay has an SD of two frames."""
     before, after = column(0, 1, 3), column(3, 5, 6)  # 1.5 frames each way; the faces are the same
-    found = bridge(before, after, ONE, 1.0, 3).ravel()
+    found = _bridge(before, after, ONE, 1.0, 3).ravel()
     u = np.arange(1, 4) / 4
     to, back = 4 * u, 4 * (1 - u)
     expected = (
         3 + to * (1 - u) ** 2 * np.exp(-0.5 * (to / 2) ** 2) - back * u**2 * np.exp(-0.5 * (back / 2) ** 2)
     )
     assert_allclose(found, expected, atol=1e-12)
-    slower = bridge(before, after, ONE, 2.0, 3).ravel()
+    slower = _bridge(before, after, ONE, 2.0, 3).ravel()
     assert_allclose(slower - 3, 1.5 * (expected - 3), atol=1e-12)
 
 

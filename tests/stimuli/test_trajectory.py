@@ -176,10 +176,10 @@ def test_a_motion_that_mostly_stands_still_is_measured_by_the_steps_that_move():
     still = np.zeros((30, 3))
     still[20:25] = np.arange(5)[:, None] * [0.1, 0.0, 0.0]
     still[25:] = still[24]
-    assert_allclose(trajectory.usual_step([still], WEIGHTS), 0.3)
+    assert_allclose(trajectory._usual_step([still], WEIGHTS), 0.3)
     back = trajectory.looped(still, WEIGHTS)[30:]
     assert 0 < len(back) < 20
-    assert trajectory.usual_step([still[:20]], WEIGHTS) == 0
+    assert trajectory._usual_step([still[:20]], WEIGHTS) == 0
 
 
 def test_splicing_keeps_every_frame_and_adds_no_long_step():

@@ -8,7 +8,7 @@ from morphspace.face.mesh import LANDMARKS, landmark_places
 from morphspace.model.landmarks import LandmarkRegression
 from morphspace.transfer.mimicry import mimic
 from morphspace.transfer.neutral import Neutral, neutral_of
-from morphspace.transfer.quality import Quality, Reach, openings_of, reach_of
+from morphspace.transfer.quality import Quality, Reach, _openings_of, reach_of
 from morphspace.transfer.quality_table import BEYOND, FOLDS, FrameMade, rounded
 
 FRAME = FaceFrame((20.0, 30.0), (40.0, 30.0), (30.0, 44.0))
@@ -47,7 +47,7 @@ def test_opening_beyond_is_the_requested_opening_minus_the_widest(talker):
 
 
 def test_no_training_face_is_beyond_its_own_range(talker):
-    openings = openings_of(talker, talker, neutral_of(talker, talker, "mean"))
+    openings = _openings_of(talker, talker, neutral_of(talker, talker, "mean"))
     for row in talker.training.values:
         assert openings.beyond(row, 1.0) < 1e-4
 

@@ -55,7 +55,7 @@ class FaceBox:
         return float(np.prod(np.maximum(self.corners[1] - self.corners[0], 0)))
 
 
-def anchors() -> Points:
+def _anchors() -> Points:
     """Return the centres (896, 2) of the network's anchors, px from the edge of its input, row by row."""
     found = []
     for cells, repeats in GRIDS:
@@ -89,7 +89,7 @@ def decode(scores: AnyArray, regressors: AnyArray) -> list[FaceBox]:
     return sorted(found, key=lambda box: -box.score)
 
 
-_ANCHORS = anchors()
+_ANCHORS = _anchors()
 
 
 def overlap(a: FaceBox, b: FaceBox) -> float:
