@@ -40,7 +40,7 @@ def gaussian_derivative(order: int, sd_px: float, *, radius: int | None = None) 
         Width of the Gaussian. A heat kernel of time t (one published port uses t = 1.5) is the Gaussian of sqrt(2 t)
         px.
     radius : int, optional
-        In px; `radius_of(sd_px)` by default. 11 px with an SD of 1.5 px gives the 23 taps of Johnston, McOwan and
+        In px; 5 SD by default, at least 3 px. 11 px with an SD of 1.5 px gives the 23 taps of Johnston, McOwan and
         Benton.
 
     Returns
