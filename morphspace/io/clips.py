@@ -218,7 +218,8 @@ def open_clip(sources: Sequence[str | Path], options: ClipOptions = AS_IT_IS) ->
     ------
     BadInput
         If there are no images, no file matches, a file is repeated, videos are mixed with other files, or a file
-        name cannot be used; if a video is interlaced, or its frame rate is outside the limits.
+        name cannot be used; if a video is interlaced, its frame rate is outside the limits, or the place of the
+        person is outside the frames.
     SizeMismatch
         If the frames differ in size; the message lists the sizes.
     UnreadableFile
@@ -241,7 +242,7 @@ def open_clip(sources: Sequence[str | Path], options: ClipOptions = AS_IT_IS) ->
         found += files
         over += others
     if len(found) == 1 and found[0].is_dir():
-        return replace(_clip_of_folder(found[0], options), person=options.person)
+        return _with_person(_clip_of_folder(found[0], options), options)
     folders = [path for path in found if path.is_dir()]
     if folders:
         raise BadInput(
@@ -255,8 +256,18 @@ def open_clip(sources: Sequence[str | Path], options: ClipOptions = AS_IT_IS) ->
                 f"the clip has {len(found)} files, one of them the video {videos[0]}; expected one video or several "
                 "images. Select one"
             )
-        return replace(_clip_of_video(found[0], options), person=options.person)
-    return replace(_clip_of_files(found, None, over, options), person=options.person)
+        return _with_person(_clip_of_video(found[0], options), options)
+    return _with_person(_clip_of_files(found, None, over, options), options)
+
+
+def _with_person(clip: Clip, options: ClipOptions) -> Clip:
+    person, (width, height) = options.person, clip.size
+    if isinstance(person, tuple) and not (0 <= person[0] < width and 0 <= person[1] < height):
+        raise BadInput(
+            f"the person is at {person[0]:g},{person[1]:g} px; expected a place in the frames of {clip.name}, which "
+            f"have {width}x{height} px. Correct it"
+        )
+    return replace(clip, person=person)
 
 
 def _expand(source: str) -> tuple[list[Path], list[Path]]:

@@ -186,7 +186,7 @@ def _found(clip: Clip, folder: Path, components: int) -> tuple[Path, MorphModel 
             and provenance.get("licence") == clip.sidecar.licence
             and provenance.get("frame_rate_hz") == clip.sidecar.frame_rate_hz
             and _person_of(provenance) in (person, None if person == "largest" else person)
-            and (model.reference_faceframe is None) == (clip.sidecar.faceframe is None)
+            and (provenance.get("mask_from") == "faceframe") == (clip.sidecar.faceframe is not None)
             and provenance.get("components_asked") == components
             and model.flow == methods.DEFAULT
             and model.size == size

@@ -20,6 +20,7 @@ from morphspace.io.tables import read_loadings_table
 from morphspace.io.video import video_info
 from morphspace.model.encode import encoded_frames, framed_for
 from morphspace.requests import CLIP_OPTIONS, ClipOptions, all_verbs, settings_of, verb_named
+from morphspace.sets import models as models_room
 from morphspace.steps import result_of
 
 FRAMES = 8
@@ -219,3 +220,30 @@ def test_a_person_without_face_points_is_refused(work, model):
     with pytest.raises(BadInput, match="--person selects a face, but landmarks is none"):
         run("build-model", **RUNS["build-model"], deinterlace=True, person="left")
     assert open_clip([work / "clip.mp4"], ClipOptions(deinterlace=True, person="left")).person == "left"
+
+
+@pytest.mark.parametrize("place", [(60, 5), (-1, 5), (5, 72)])
+def test_a_person_outside_the_frames_is_refused(tmp_path, model, place):
+    write_image(tmp_path / "one" / "a.png", model.render(np.zeros(3)))
+    line = rf"the person is at {place[0]},{place[1]} px; expected a place in the frames of one, which have 60x72 px"
+    with pytest.raises(BadInput, match=line):
+        open_clip([tmp_path / "one"], ClipOptions(person=place))
+    assert open_clip([tmp_path / "one"], ClipOptions(person=(59, 71))).person == (59.0, 71.0)
+
+
+def test_a_model_that_mimic_built_is_found_again_for_the_same_face(work, model):
+    options = ClipOptions(deinterlace=True)
+    built = notebook.build("clip.mp4", deinterlace=True, landmarks="none", components=50)
+    points = FaceFrame((20.0, 28.0), (39.0, 28.0), (29.5, 46.0))  # as a detector found them
+    for person in (None, "left", (30.0, 36.0)):
+        detector = {"scheme": "test"} if person is None else {"person": person}
+        landmarks = {"detector": detector, "reference_has_face": True}
+        provenance = {**built.provenance, "landmarks": landmarks, "mask_from": "found face"}
+        folder = work / "models"
+        replace(built, provenance=provenance, reference_faceframe=points).save(folder / "clip.morph")
+        for asked in (None, "left", "right", (30.0, 36.0), (31.0, 36.0)):
+            clip = open_clip(["clip.mp4"], replace(options, person=asked))
+            assert (models_room._found(clip, folder, 50)[1] is not None) == (asked == person)
+    largest = replace(options, person="largest")  # is the default of a build
+    replace(built, provenance=built.provenance).save(folder / "clip.morph")
+    assert models_room._found(open_clip(["clip.mp4"], largest), folder, 50)[1] is not None
