@@ -376,6 +376,23 @@ def test_the_one_that_stands_out_is_flagged_and_no_other():
     assert not any(row["outlier_in"] for row in flagged(rows[5:10]))  # too few to say
 
 
+@pytest.mark.parametrize(
+    ("rest", "value", "is_out"),
+    [
+        ((0.99, 1.01) * 4, 1.115, True),  # OUTLIER_Z and NORMAL_MAD: 0.104 from the median, 1.01
+        ((0.99, 1.01) * 4, 1.113, False),
+        ((1.0, 1.0) * 4, 1.018, True),  # LEAST_SPREAD: 0.0175
+        ((1.0, 1.0) * 4, 1.017, False),
+        ((1.0, 1.0) * 3, 1.1, False),  # LEAST_FOR_OUTLIERS: 8 in all
+        ((1.0, 1.0, 1.0) * 2 + (1.0,), 1.1, True),
+    ],
+)
+def test_an_outlier_is_three_and_a_half_robust_sd_away(rest, value, is_out):
+    rows = flagged([{"linear_luminance": one} for one in (*rest, value)])
+    assert (rows[-1]["outlier_in"] == "linear_luminance") == is_out
+    assert not any(row["outlier_in"] for row in rows[:-1])
+
+
 def test_a_set_says_which_of_its_stimuli_to_look_at():
     fine = {"name": "a", "clipped_percent": 0.05, "folded_percent": 0.2, "beyond": "", "outlier_in": ""}
     fine |= {"largest_sd": 2.0, "largest_component": 1}

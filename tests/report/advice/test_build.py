@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from morphspace.face.faceframe import FaceFrame
 from morphspace.model.morph import Morph
 from morphspace.report.advice.build import Case, advice_for, head_path
 from morphspace.report.build_page import build_page
@@ -114,6 +115,16 @@ def test_mask_without_texture_is_told(clean):
         (advice,) = advice_for(Case(replace(clean.build, model=changed), clean.figures))
         assert advice.rule == "mask"
         assert word in advice.text
+
+
+@pytest.mark.parametrize(("share", "found"), [(0.19, set()), (0.17, {"face_small"})])
+def test_a_face_is_small_where_its_eyes_are_nearer_than_their_least_share(clean, share, found):
+    """EYES_LEAST_SHARE, of the frame's width."""
+    frame = FaceFrame.at(np.array([[20.0, 30], [20 + share * SIZE[0], 30], [25, 50]]))
+    model = clean.build.model
+    model = replace(model, faceframe=frame, provenance={**model.provenance, "framing": {}})
+    build = replace(clean.build, model=model, faces_found=np.ones(len(clean.names), bool))
+    assert rules(advice_for(Case(build, clean.figures))) == found
 
 
 def _of_few_frames(build):
