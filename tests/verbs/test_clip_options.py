@@ -119,9 +119,11 @@ def test_a_stimulus_of_a_deinterlaced_clip_is_replayed(work):
     assert run("replay", sidecar=path).document["same"]
 
 
+@pytest.mark.parametrize("words", ["clip.mp4", "'cl*.mp4'"])
 @pytest.mark.parametrize("verb", ["place", "mimic"])
-def test_a_recipe_has_the_options(work, verb):
+def test_a_recipe_has_the_options(work, verb, words):
     given = {key: value for key, value in RUNS[verb].items() if key != "output"}
+    given["clip" if verb == "place" else "frames"] = words
     head = "format: morphspace-recipe\nversion: 1\n"
     lines = "".join(f"    {key}: {value}\n" for key, value in {**given, "frame_rate_hz": 50}.items())
     for option, is_read in (("", False), ("    deinterlace: true\n", True)):
