@@ -8,6 +8,7 @@ its files. A finished run leaves its record, sidecars or pages, by which its fil
 from __future__ import annotations
 
 import contextlib
+import itertools
 import os
 from collections.abc import Collection, Iterator, Mapping
 from pathlib import Path
@@ -63,7 +64,8 @@ def writing(output: Output) -> Iterator[None]:
                 with storage.watching(mark.note):
                     yield
             except BaseException:
-                if not begun and all(_is_recognised(path, output, {}, listed) for path in _there(output)):
+                is_known = all(_is_recognised(path, output, {}, listed) for path in _there(output))
+                if is_known and not begun and not any(map(_holds, itertools.chain(*output.stimuli))):
                     mark.remove()
                 raise
             _remove_stale(output, {**begun, **listed})
@@ -131,7 +133,7 @@ def check_origins(output: Output) -> dict[str, str]:
                 f"{path} is of {found}, and would be replaced by one of {output.identity}. Choose another output, or "
                 f"move {path.name} away"
             )
-    recorded = _object(output.record).get("outputs") if output.stimuli else None
+    recorded = _recorded(output) if output.stimuli else {}
     for picture, sidecar in output.stimuli:
         for path in (picture, sidecar):
             if path.is_dir():
@@ -141,11 +143,12 @@ def check_origins(output: Output) -> dict[str, str]:
             refuse(picture, output.verb)
         if _holds(sidecar) and not is_own and not _is_stimulus(picture):
             refuse(sidecar, output.verb)
-        if is_own and _is_edited(sidecar, relative_name(sidecar, output.folder), recorded):
-            raise BadInput(
-                f"{sidecar} was changed since it was written, such as by a note, and would be replaced. Keep notes in "
-                f"a file of your own, and move {sidecar.name} away, or choose another output"
-            )
+        for path in (picture, sidecar) if is_own else ():
+            if _is_edited(path, recorded.get(relative_name(path, output.folder)), path == sidecar):
+                raise BadInput(
+                    f"{path} was changed since it was written, such as by a note, and would be replaced. Keep notes in "
+                    f"a file of your own, and move {path.name} away, or choose another output"
+                )
     return begun
 
 
@@ -236,11 +239,20 @@ def _is_sidecar(path: Path) -> bool:
     return _object(path).get("format") == STIMULUS.format or _start(path).startswith(SIDECAR_START.encode())
 
 
-def _is_edited(sidecar: Path, name: str, recorded: Any) -> bool:
-    """Return whether a whole sidecar is neither the recorded one nor, by its own digests, as it was written."""
-    if isinstance(recorded, Mapping) and recorded.get(name) == digest_of_file(sidecar):
+def _recorded(output: Output) -> Mapping[str, Any]:
+    """Return the digests in the record of the folder; none if a stopped run has written since."""
+    was_stopped = output.mark.is_file() and output.mark.stat().st_size > 0
+    found = {} if was_stopped else _object(output.record).get("outputs")
+    return found if isinstance(found, dict) else {}
+
+
+def _is_edited(path: Path, recorded: Any, is_sidecar: bool) -> bool:
+    """Return whether an undamaged stimulus or sidecar is not the recorded one, or a sidecar belies its own digests."""
+    if not _holds(path) or (is_sidecar and not _object(path)):
         return False
-    return bool(_object(sidecar)) and not is_as_written(sidecar)
+    if recorded is not None:
+        return digest_of_file(path) != recorded and not _is_damaged(path)
+    return is_sidecar and not is_as_written(path)
 
 
 def _start(path: Path) -> bytes:

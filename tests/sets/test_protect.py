@@ -17,6 +17,7 @@ from morphspace.io.stimulus_sidecars import sidecar_text
 from morphspace.io.tables import write_loadings_table
 from morphspace.outcome import write_record
 from morphspace.requests import OUTPUT, all_verbs, verb_named
+from morphspace.sets import stimulus as stimulus_room
 from morphspace.sets.marks import locked
 from morphspace.sets.outputs import Output, check_work_folder, set_output
 from morphspace.sets.protect import check_origins, writing
@@ -389,6 +390,8 @@ def test_unedited_sidecars_are_replaced_also_those_that_a_stopped_run_has_replac
     after = bytes_of(folder)
     assert before["sample_0000.json"] != after["sample_0000.json"]
     (folder / "record.json").write_bytes(before["record.json"])  # as if stopped before its record
+    with locked(set_output("sample", folder, [])) as mark:
+        mark.begin({})
     (folder / "manifest.csv").write_bytes(before["manifest.csv"])
     for name in ("index.html", "manifest.json", "loadings.csv", "loadings.json"):
         if name in before:
@@ -415,3 +418,37 @@ def test_a_work_folder_is_no_clip(tmp_path, content):
     (tmp_path / "other").mkdir()
     (tmp_path / "other" / "ab.kept").write_bytes(b"x")
     check_work_folder(tmp_path / "other")
+
+
+def test_a_figure_in_a_sidecar_or_a_picture_that_was_changed_since_the_record_is_refused(drawn):
+    folder, draw = drawn
+    sidecar, picture = folder / "sample_0000.json", folder / "sample_0000.png"
+    whole = sidecar.read_bytes()
+    edited(sidecar, lambda document: document["statistics"]["code"].update(luminance=0.25))
+    with pytest.raises(BadInput, match=r"sample_0000\.json was changed since it was written"):
+        draw(2)
+    sidecar.write_bytes(whole)
+    (folder / "sample_0000.png").write_bytes((folder / "sample_0001.png").read_bytes())
+    with pytest.raises(BadInput, match=r"sample_0000\.png was changed since it was written"):
+        draw(2)
+    picture.write_bytes(picture.read_bytes()[:-20])  # damaged
+    draw(2)
+
+
+def test_a_run_that_stopped_among_its_stimuli_is_taken_over(drawn, monkeypatch):
+    folder, draw = drawn
+    write, made = stimulus_room.write_text, []
+
+    def full(path, text):
+        made.append(path)
+        if len(made) == 2:
+            raise UnwritableFile("full")
+        write(path, text)
+
+    monkeypatch.setattr(stimulus_room, "write_text", full)
+    with pytest.raises(UnwritableFile):
+        draw(2)
+    assert (folder / MARK_NAME).exists()
+    monkeypatch.undo()
+    draw(3)
+    assert not (folder / MARK_NAME).exists()
