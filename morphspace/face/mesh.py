@@ -16,7 +16,7 @@ from morphspace.arrays import AnyArray, Points
 from morphspace.errors import BadInput
 from morphspace.face.faceframe import FaceFrame
 
-SCHEME = "mediapipe-478"
+SCHEME = "mediapipe-attention-478"
 POINT_COUNT = 478
 MESH_COUNT = 468  # points; the others are the two irises
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from morphspace.requests import declared
-from morphspace.verbs.models_fetch import LICENCE, NetworksFolder
+from morphspace.verbs.models_fetch import NetworksFolder, credit_lines
 
 if TYPE_CHECKING:
     from morphspace.face.detector.models import Origin
@@ -20,25 +20,26 @@ class ModelsListRequest:
     folder: NetworksFolder = None
 
 
-def run(request: ModelsListRequest, *, origin: Origin | None = None) -> Steps[Outcome]:
+def run(request: ModelsListRequest, *, origins: tuple[Origin, ...] | None = None) -> Steps[Outcome]:
     """Describe for each network its task and whether its file is present and undamaged."""
-    from morphspace.face.detector.models import FETCH_COMMAND, ORIGIN, models_folder, state_of
+    from morphspace.face.detector.models import FETCH_COMMAND, ORIGINS, models_folder, state_of
     from morphspace.outcome import Outcome
     from morphspace.steps import Step
 
-    origin = origin or ORIGIN
+    origins = origins or ORIGINS
+    files = [file for origin in origins for file in origin.files]
     folder = models_folder() if request.folder is None else request.folder
     states = {}
-    for done, file in enumerate(origin.files):
-        yield Step("check", done, len(origin.files))
+    for done, file in enumerate(files):
+        yield Step("check", done, len(files))
         states[file.name] = state_of(file, folder)
     widest = max(map(len, states))
-    lines = [f"{folder}, from {origin.requirement}; {LICENCE}"]
+    lines = [f"{folder}", *credit_lines(origins)]
     lines += [
         f"{file.name:<{widest}}  {states[file.name]:<7}  {file.size_bytes / 1e6:.2f} MB  {file.task}"
-        for file in origin.files
+        for file in files
     ]
     absent = [name for name, state in states.items() if state != "present"]
     warnings = (f"{len(absent)} of {len(states)} are not usable: run `{FETCH_COMMAND}`",) if absent else ()
-    document = {"folder": str(folder), "present": not absent, "models": states, "origin": origin.requirement}
+    document = {"folder": str(folder), "present": not absent, "models": states}
     return Outcome(tuple(lines), document, warnings)

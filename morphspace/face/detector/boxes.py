@@ -1,4 +1,4 @@
-"""Decode the output of MediaPipe's short-range face network into boxes in the image.
+"""Decode the output of MediaPipe's face networks into boxes in the image.
 
 Each of 896 anchors on two grids has a score, a box and six points relative to it. Overlapping boxes are averaged by
 their scores instead of dropped, which removes most of the jitter (Bazarevsky et al. 2019, BlazeFace, section 3.4).
@@ -14,7 +14,7 @@ import numpy as np
 from morphspace.arrays import AnyArray, Points
 from morphspace.errors import BadInput
 
-SIDE = 128  # px, of the network's square input
+SIDE, FAR_SIDE = 128, 256  # px, of the square inputs of both networks
 GRIDS = ((16, 2), (8, 6))  # cells a side, anchors a cell
 RIGHT_EYE, LEFT_EYE = 0, 1  # of the six points; then nose tip, mouth, and the two ears
 CANDIDATE_SCORE = 0.5  # score; boxes below are left out of the average
@@ -55,16 +55,16 @@ class FaceBox:
         return float(np.prod(np.maximum(self.corners[1] - self.corners[0], 0)))
 
 
-def _anchors() -> Points:
-    """Return the centres (896, 2) of the network's anchors, px from the edge of its input, row by row."""
+def _anchors(side: int = SIDE) -> Points:
+    """Return the centres (896, 2) of a network's anchors, px from the edge of its input of `side` px, row by row."""
     found = []
     for cells, repeats in GRIDS:
         y, x = np.mgrid[:cells, :cells].reshape(2, -1)
-        found.append(np.repeat((np.column_stack([x, y]) + 0.5) * (SIDE / cells), repeats, axis=0))
+        found.append(np.repeat((np.column_stack([x, y]) + 0.5) * (side / cells), repeats, axis=0))
     return np.concatenate(found)
 
 
-def decode(scores: AnyArray, regressors: AnyArray) -> list[FaceBox]:
+def decode(scores: AnyArray, regressors: AnyArray, side: int = SIDE) -> list[FaceBox]:
     """Decode the candidate boxes, px of the network's input with pixel centres at integers, best first.
 
     Boxes without extent, or with numbers that are not finite, are left out.
@@ -75,21 +75,21 @@ def decode(scores: AnyArray, regressors: AnyArray) -> list[FaceBox]:
         Raw scores.
     regressors : array (896, 16)
         Box centre and size, then six points, all relative to the anchor.
+    side : int
+        Of the network's input, px.
     """
     raw = np.clip(scores.astype(np.float64).reshape(-1), -SCORE_LIMIT, SCORE_LIMIT)
     share = 1 / (1 + np.exp(-raw))
     pairs = regressors.astype(np.float64).reshape(len(raw), 8, 2)
     found = []
+    centres = _anchors(side) - 0.5
     for index in np.flatnonzero(share >= CANDIDATE_SCORE):  # NaN scores are left out as well
-        anchor = _ANCHORS[index] - 0.5
+        anchor = centres[index]
         centre, size, marks = pairs[index, 0] + anchor, pairs[index, 1], pairs[index, 2:] + anchor
         if np.isfinite(pairs[index]).all() and (size > 0).all():
             box = FaceBox(np.array([centre - size / 2, centre + size / 2]), marks, float(share[index]))
             found.append(box)
     return sorted(found, key=lambda box: -box.score)
-
-
-_ANCHORS = _anchors()
 
 
 def overlap(a: FaceBox, b: FaceBox) -> float:

