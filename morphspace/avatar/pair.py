@@ -19,7 +19,7 @@ from morphspace.avatar.selection import labels_of, model_key
 from morphspace.avatar.settings import check_models
 from morphspace.errors import BadInput
 from morphspace.face.faceframe import FaceFrame, identity_affine
-from morphspace.face.mesh import RIGID_POINTS
+from morphspace.face.mesh import RIGID_POINTS, SCHEME
 from morphspace.face.registration import fitted_similarity
 from morphspace.grid import warp
 from morphspace.linear.pca import fit_basis
@@ -171,6 +171,7 @@ def _keypoints(home: MorphModel, mean_field: Any) -> dict[str, Any]:
     points = landmarks_of(home)
     if points is not None:
         moved = warp.move_points(mean_field, points)
+        told["scheme"] = SCHEME
         told["points"] = [[round(float(x), POINT_DIGITS), round(float(y), POINT_DIGITS)] for x, y in moved]
     return told
 

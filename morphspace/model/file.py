@@ -70,10 +70,11 @@ class SearchEntry(TypedDict, total=False):
 
 
 class KeypointsEntry(TypedDict, total=False):
-    """The origin of the faceframe; `points` are those of the face mesh on the mean face, px."""
+    """The origin of the faceframe; `points` are those of the face mesh `scheme` on the mean face, px."""
 
     source: str
     lip: Literal["philtrum", "upper-lip"]
+    scheme: str
     points: OrNull[list[Point]]
 
 
@@ -120,7 +121,7 @@ class Provenance(TypedDict):
 class LandmarksEntry(TypedDict):
     """The landmark regression, whose arrays are beside the document."""
 
-    scheme: Literal["mediapipe-478"]
+    scheme: Literal["mediapipe-attention-478", "mediapipe-478"]
     places: Annotated[list[Annotated[int, Ge(0), Le(477)]], Len(1)]
     faces: Annotated[int, Ge(8)]
     ridge: Weight

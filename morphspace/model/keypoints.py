@@ -17,7 +17,7 @@ from morphspace.arrays import Affine, AnyArray, Mask, Points
 from morphspace.errors import BadInput
 from morphspace.face.detector import Detector
 from morphspace.face.faceframe import FaceFrame
-from morphspace.face.mesh import POINT_COUNT
+from morphspace.face.mesh import POINT_COUNT, SCHEME
 from morphspace.face.regions import region_mask
 from morphspace.grid import warp
 from morphspace.io.framing import Framing
@@ -71,6 +71,7 @@ class DetectedFaceframe:
             "source": "auto",
             "lip": "philtrum",
             "on": "mean",
+            "scheme": SCHEME,
             "faces": self.faces,
             "found": self.found,
             "spread_px": [round(float(value), 3) for value in self.spread_px],
@@ -242,7 +243,10 @@ def how_to_learn(model: MorphModel, name: str) -> str:
             f"a face was found in {found} of its {count} training faces; expected more than {LEAST_FACES}. Build it "
             "from more or larger frames of the whole face"
         )
-    return f"run `morphspace keypoints {name} --auto`"
+    older = (
+        "its face points are those of an older mesh, and are not used: " if _has_older_points(model) else ""
+    )
+    return f"{older}run `morphspace keypoints {name} --auto`"
 
 
 def region_of(model: MorphModel, name: str) -> Mask:
@@ -272,7 +276,9 @@ def point_names(model: MorphModel) -> tuple[str, str, str]:
 
 
 def landmarks_of(model: MorphModel) -> Points | None:
-    """Return the points (478, 2) px of the face mesh on the mean face, or None if `keypoints --auto` found none.
+    """Return the points (478, 2) px of the face mesh on the mean face.
+
+    None if `keypoints --auto` found none, or found those of an older mesh.
 
     Examples
     --------
@@ -280,11 +286,19 @@ def landmarks_of(model: MorphModel) -> Points | None:
     >>> landmarks_of(ms.load("anna.morph")) is None  # until `keypoints --auto` has found them
     True
     """
+    points = _stored_points(model)
+    return None if points is None or _has_older_points(model) else np.asarray(points, np.float64)
+
+
+def _has_older_points(model: MorphModel) -> bool:
+    """Return whether the points of the face mesh that a model holds are those of another mesh than `SCHEME`."""
+    return _stored_points(model) is not None and model.provenance["keypoints"].get("scheme") != SCHEME
+
+
+def _stored_points(model: MorphModel) -> list[list[float]] | None:
     origin = model.provenance.get("keypoints")
     points = origin.get("points") if isinstance(origin, dict) else None
-    if points is None or len(points) != POINT_COUNT:
-        return None
-    return np.asarray(points, np.float64)
+    return points if points is not None and len(points) == POINT_COUNT else None
 
 
 def framing_of(model: MorphModel) -> Framing:

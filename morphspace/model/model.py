@@ -27,7 +27,7 @@ from morphspace.errors import BadInput, UnwritableFile
 from morphspace.face.anchor import FaceAnchor, anchor_of_build, was_anchored
 from morphspace.face.detector import MissingModels, Person
 from morphspace.face.faceframe import FaceFrame, Frame, RegistrationKind, aligned
-from morphspace.face.mesh import FacePoints
+from morphspace.face.mesh import SCHEME, FacePoints
 from morphspace.face.regions import rigid_region
 from morphspace.face.registration import Registration
 from morphspace.flow import FlowFunction, methods
@@ -581,7 +581,7 @@ def _assembled(arrays: Mapping[str, AnyArray], document: ModelDocument) -> Morph
 
 
 def _landmarks(arrays: Mapping[str, AnyArray], entry: LandmarksEntry | None) -> LandmarkRegression | None:
-    if entry is None:
+    if entry is None or entry["scheme"] != SCHEME:  # points of an older mesh lie elsewhere on the face
         return None
     return LandmarkRegression(
         np.array(arrays["landmark_mean"]),

@@ -67,6 +67,7 @@ def _blend_lines(model: MorphModel) -> tuple[str, ...]:
 
 def run(request: InfoRequest) -> Steps[Outcome]:
     """Read the model, check its digest, and describe it."""
+    from morphspace.model.keypoints import how_to_learn
     from morphspace.model.landmarks import error_summary
     from morphspace.model.model import load_model, points_document
     from morphspace.outcome import Outcome
@@ -98,7 +99,7 @@ def run(request: InfoRequest) -> Steps[Outcome]:
         "faceframe  " + _faceframe_words(model),
         "landmarks  "
         + (
-            "not learned; `mimic --method guided` needs them. Learn them with `morphspace keypoints MODEL --auto`"
+            f"not learned; `mimic --method guided` needs them: {how_to_learn(model, 'MODEL')}"
             if model.landmarks is None
             else f"{model.landmarks.faces} faces, {error_summary(model.landmarks)}"
         ),

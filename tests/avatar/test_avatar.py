@@ -24,6 +24,7 @@ from morphspace.cli.main import main
 from morphspace.errors import BadInput
 from morphspace.face.faceframe import FaceFrame
 from morphspace.face.mesh import (
+    SCHEME,
     FACE_OUTLINE,
     INNER_LIPS,
     LANDMARKS,
@@ -246,7 +247,7 @@ def mesh_on(model):
         points[list(brow)] = np.column_stack(
             [np.linspace(left, left + 12, len(brow)), np.full(len(brow), 30.0)]
         )
-    origin = {**(model.provenance.get("keypoints") or {}), "lip": "philtrum", "points": points.tolist()}
+    origin = {**(model.provenance.get("keypoints") or {}), "lip": "philtrum", "scheme": SCHEME, "points": points.tolist()}
     return model.with_faceframe(FACEFRAME, origin)
 
 
@@ -276,7 +277,7 @@ def looking(model, to_right):
     points = np.tile([32.0, 40.0], (POINT_COUNT, 1))
     for x, iris, left, right in ((20.0, 468, 33, 133), (44.0, 473, 362, 263)):
         points[left], points[right], points[iris] = (x - 5, 30), (x + 5, 30), (x + to_right, 31)
-    origin = {"lip": "philtrum", "points": points.tolist()}
+    origin = {"lip": "philtrum", "scheme": SCHEME, "points": points.tolist()}
     return model.with_faceframe(FACEFRAME, origin)
 
 

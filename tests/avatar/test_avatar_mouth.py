@@ -13,7 +13,7 @@ from morphspace.avatar.common_grid import CommonFace, Laid
 from morphspace.avatar.mouth import Landmarks, Matcher, _sure
 from morphspace.avatar.versions import LEAST, Version
 from morphspace.face.faceframe import FaceFrame
-from morphspace.face.mesh import INNER_LIPS, LANDMARKS, OUTER_LIPS, POINT_COUNT, RIGID_POINTS
+from morphspace.face.mesh import INNER_LIPS, LANDMARKS, OUTER_LIPS, POINT_COUNT, RIGID_POINTS, SCHEME
 from morphspace.grid import warp
 from morphspace.model.landmarks import LandmarkRegression
 from morphspace.model.morph import Morph
@@ -56,7 +56,7 @@ def person(model, identity, lower_px, error_px=SURE):
     )
     provenance = {**model.provenance, "identity": identity}
     made = replace(model, mean=mean, provenance=provenance)
-    made = made.with_faceframe(FACEFRAME, {"lip": "philtrum", "points": mesh().tolist()})
+    made = made.with_faceframe(FACEFRAME, {"lip": "philtrum", "scheme": SCHEME, "points": mesh().tolist()})
     places = list(LANDMARKS)
     zeros = np.zeros((model.rank, len(places), 2))
     return made.with_landmarks(

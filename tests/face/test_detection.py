@@ -129,19 +129,20 @@ def test_boxes_show_one_face_where_they_share_three_tenths(right_px, count):
 class FixedNetwork:
     """A box network that finds one box of 30 px in its input at call number `call`, with this score."""
 
-    def __init__(self, call, score):
-        self.call, self.score, self.calls = call, score, 0
+    def __init__(self, call, score, box_px=30.0):
+        self.call, self.score, self.calls, self.box_px = call, score, 0, box_px
 
     def answer(self, picture):
         self.calls += 1
-        scores, regressors = np.full(896, -50.0), np.full((896, 16), 30.0)
+        scores, regressors = np.full(896, -50.0), np.full((896, 16), self.box_px)
         if self.calls == self.call:
             scores[5] = np.log(self.score / (1 - self.score))
         return scores, regressors
 
 
-def found_by(network, width=128, height=64):
-    return _find_boxes(SimpleNamespace(face=network), np.zeros((height, width, 3), np.float32))
+def found_by(network, width=128, height=64, far=None):
+    networks = SimpleNamespace(face=network, far_face=far or FixedNetwork(0, 0.5))
+    return _find_boxes(networks, np.zeros((height, width, 3), np.float32))
 
 
 @pytest.mark.parametrize(("score", "count"), [(0.69, 0), (0.71, 1)])
@@ -156,6 +157,16 @@ def test_a_face_that_fills_the_frame_is_looked_for_with_more_room_around():
     sizes = [float(np.ptp(one[0].corners, axis=0)[0]) for one in boxes[:4]]
     assert_allclose(sizes, (30, 37.5, 45, 60))
     assert boxes[4] == []
+
+
+@pytest.mark.parametrize(("box_px", "second_looks"), [(19.5, 0), (19.0, 1)])
+def test_faces_below_fifteen_hundredths_of_the_picture_are_searched_again(box_px, second_looks):
+    """SMALL_SHARE: of the input's 128 px."""
+    far = FixedNetwork(1, 0.9)
+    (found,) = found_by(FixedNetwork(1, 0.9, box_px), far=far)
+    assert far.calls == second_looks
+    # The picture is 128 px wide, the second input 256.
+    assert_allclose(np.ptp(found.corners, axis=0), 15 if second_looks else box_px)
 
 
 def test_the_first_crop_is_half_as_large_again_as_the_box():
@@ -347,6 +358,18 @@ def test_a_face_that_more_than_fills_the_frame_is_found(detector, portrait, face
     found = detector(np.ascontiguousarray(portrait[y0:y1, x0:x1]))
     # Forehead and chin, a fifth of the points, lie outside and are guessed.
     assert apart(face, face.moved(found.points + np.array([x0, y0]))) < 8
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("scale", [0.9, 0.6])
+def test_a_face_that_is_small_in_its_picture_is_found(detector, portrait, face, scale):
+    """The face is 8 or 5 % of the width; only the network for far faces finds it."""
+    small = cv2.resize(portrait, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
+    image = np.full((900, 1200, 3), 0.4, np.float32)
+    image[400 : 400 + small.shape[0], 700 : 700 + small.shape[1]] = small
+    found = detector(image)
+    back = (found.points - (700, 400) + 0.5) / scale - 0.5
+    assert apart(face, face.moved(back)) < 6
 
 
 @pytest.mark.slow

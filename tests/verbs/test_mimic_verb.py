@@ -875,12 +875,12 @@ def test_a_model_of_too_few_faces_is_not_sent_to_a_command_that_cannot_help(work
 def test_damaged_networks_are_told_from_missing_ones(work, actor, tmp_path, monkeypatch):
     folder = tmp_path / "networks"
     folder.mkdir()
-    (folder / "face_landmark.tflite").write_bytes(b"half")
+    (folder / "face_landmark_with_attention.tflite").write_bytes(b"half")
     monkeypatch.setenv("MORPHSPACE_MODELS", str(folder))
     (note,) = (note for note in run(work).warnings if "models fetch" in note)
-    assert "face_landmark.tflite" in note and "damaged" in note and str(folder) not in note
+    assert "face_landmark_with_attention.tflite" in note and "damaged" in note and str(folder) not in note
     given = clip(work, actor, actor.training.values[:3])
-    with pytest.raises(BadInput, match=r"face_landmark\.tflite .* damaged"):
+    with pytest.raises(BadInput, match=r"face_landmark_with_attention\.tflite .* damaged"):
         result_of(verb.run(MimicRequest(given, str(work / "b.morph"), work / "new")))
 
 
