@@ -56,7 +56,7 @@ PHILTRUM = 164
 MIRRORED_PAIRS = ((33, 263), (133, 362), (127, 356), (234, 454), (162, 389), (98, 327))
 DOWN_FROM, DOWN_TO = (33, 133, 362, 263), (98, 2, 327)  # the corners of the eyes, the base of the nose
 RESTING_PITCH_DEG = (
-    23.5  # degrees by which a frontal face's nose base is in front of its eyes; median of eleven clips
+    25.4  # degrees by which a frontal face's nose base is in front of its eyes; median of eight clips
 )
 MAX_TURN_DEG = 20.0  # degrees; above it a driving face is flagged, since its far side is hidden
 
