@@ -31,10 +31,17 @@ def model_key(model: MorphModel) -> str:
     )
 
 
+def places_in_order(models: Sequence[MorphModel], keys: Sequence[str]) -> list[int]:
+    """Sort models by name, then by mean face and digest, so that no order of input and no words change a blend."""
+    return sorted(
+        range(len(models)), key=lambda i: (models[i].identity, models[i].mean.reference_id, keys[i], i)
+    )
+
+
 def labels_of(models: Sequence[MorphModel], keys: Sequence[str]) -> tuple[str, ...]:
-    """Return a unique name for each model: its identity, or NAME_2, NAME_3 in the order of the digests."""
+    """Return a unique name for each model: its identity, or NAME_2, NAME_3 in the order of `places_in_order`."""
     labels: dict[int, str] = {}
-    for place in sorted(range(len(models)), key=lambda i: (keys[i], i)):
+    for place in places_in_order(models, keys):
         name, number = models[place].identity, 1
         while name in labels.values():
             number += 1

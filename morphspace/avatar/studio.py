@@ -13,7 +13,7 @@ from morphspace.arrays import AnyArray, Image
 from morphspace.avatar.blend import Mixer
 from morphspace.avatar.common_grid import CommonFace, common_face, mean_faceframe, places_on, version_picture
 from morphspace.avatar.mouth import Matcher
-from morphspace.avatar.selection import labels_of, model_key, nearest_to_all, spread_out
+from morphspace.avatar.selection import labels_of, model_key, nearest_to_all, places_in_order, spread_out
 from morphspace.avatar.settings import (
     EXPRESSION,
     FLAT,
@@ -157,7 +157,7 @@ def studio_of(models: Sequence[MorphModel], settings: AvatarSettings) -> Studio:
     weights = shares_of(settings.weights, len(models))
     keys = [model_key(model) for model in models]
     labels = labels_of(models, keys)
-    part = tuple(sorted((i for i in range(len(models)) if weights[i] > 0), key=lambda i: (keys[i], i)))
+    part = tuple(i for i in places_in_order(models, keys) if weights[i] > 0)
     taking = [models[i] for i in part]
     reference = nearest_to_all(taking)
     if settings.reference is not None:

@@ -24,13 +24,13 @@ from morphspace.cli.main import main
 from morphspace.errors import BadInput
 from morphspace.face.faceframe import FaceFrame
 from morphspace.face.mesh import (
-    SCHEME,
     FACE_OUTLINE,
     INNER_LIPS,
     LANDMARKS,
     LEFT_BROW,
     POINT_COUNT,
     RIGHT_BROW,
+    SCHEME,
     landmark_places,
 )
 from morphspace.grid import warp
@@ -247,7 +247,12 @@ def mesh_on(model):
         points[list(brow)] = np.column_stack(
             [np.linspace(left, left + 12, len(brow)), np.full(len(brow), 30.0)]
         )
-    origin = {**(model.provenance.get("keypoints") or {}), "lip": "philtrum", "scheme": SCHEME, "points": points.tolist()}
+    origin = {
+        **(model.provenance.get("keypoints") or {}),
+        "lip": "philtrum",
+        "scheme": SCHEME,
+        "points": points.tolist(),
+    }
     return model.with_faceframe(FACEFRAME, origin)
 
 

@@ -42,7 +42,9 @@ def meshed(model, lower_px, identity="anna"):
     points = np.column_stack([np.linspace(20, 44, POINT_COUNT), 30 + 20 * (np.arange(POINT_COUNT) % 2)])
     points[list(LIPS), 1] += lower_px
     found = person(model, 50.0, identity)
-    return found.with_faceframe(found.faceframe, {"lip": "philtrum", "scheme": SCHEME, "points": points.tolist()})
+    return found.with_faceframe(
+        found.faceframe, {"lip": "philtrum", "scheme": SCHEME, "points": points.tolist()}
+    )
 
 
 def test_the_reference_is_the_face_nearest_to_all_others(model):
@@ -162,7 +164,11 @@ def test_irises_a_tenth_of_an_eye_apart_are_told(model, right_px, is_said):
         for x, iris, left, right in ((20.0, 468, 33, 133), (44.0, 473, 362, 263)):
             points[left], points[right], points[iris] = (x - 5, 30), (x + 5, 30), (x + moved_px, 31)
         found = person(model, 50.0, name)
-        people.append(found.with_faceframe(found.faceframe, {"lip": "philtrum", "scheme": SCHEME, "points": points.tolist()}))
+        people.append(
+            found.with_faceframe(
+                found.faceframe, {"lip": "philtrum", "scheme": SCHEME, "points": points.tolist()}
+            )
+        )
     notes = " ".join(said(people))
     assert ("look in different directions" in notes) == is_said
     assert ("of anna and ben look" in notes) == is_said

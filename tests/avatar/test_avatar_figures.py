@@ -219,11 +219,14 @@ def test_mean_faces_are_as_far_apart_as_their_landmarks(drawn_anna, drawn_ben):
     assert found.colour_percent[0, 2] < 1e-3 < found.colour_percent[0, 1] < 100
 
 
-def test_a_studio_takes_who_has_weight_in_the_order_of_digests(drawn_anna, drawn_ben):
-    models = [drawn_anna.model, drawn_ben.model]
+def test_a_studio_takes_who_has_weight_in_the_order_of_names_whatever_else_is_recorded(drawn_anna, drawn_ben):
+    models = [drawn_ben.model, drawn_anna.model]
     studio = studio_of(models, settings_of(weights=(3, 1), expressions=2))
-    assert sorted(studio.part) == [0, 1] and [studio.keys[i] for i in studio.part] == sorted(studio.keys)
-    assert_allclose(studio.shares, [(0.75, 0.25)[i] for i in studio.part])
+    assert [models[i].identity for i in studio.part] == ["drawn 4", "drawn 9"]
+    for words in ("CC0", "CC BY", "none"):
+        other = replace(models[1], provenance={**models[1].provenance, "licence": words})
+        assert studio_of([models[0], other], settings_of(weights=(3, 1), expressions=2)).part == studio.part
+    assert_allclose(studio.shares, [0.25, 0.75])
     assert studio.surround == studio.reference and len(studio.chosen()) == 4
     names = [model.identity for model in models]
     for place, name in enumerate(names):
