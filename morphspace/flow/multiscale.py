@@ -45,7 +45,7 @@ SURROUNDINGS_PX = 1.5  # px, SD of the neighbourhood in which a rival is judged
 RIVAL_RATIO = 0.9  # a rival's misfit must be below this share of the field's, and
 RIVAL_GAIN_PX = 0.05  # px below that: equal rivals would add noise
 INVERSE_STEPS = 4  # fixed-point steps to the first estimate of the backward flow, which is then refined
-WARPS_BACK = 1
+WARPS_BACK = 1  # warps that refine this estimate, at least 1; ten change a confidence by a tenth
 LEAST_CONTRAST = 0.02  # sum of a pixel's channels, of their weights, at which confidence is a half
 MISSED_PX = 4.0  # px of forward-backward error at which confidence is a half
 UNLIKE_PX = 0.7  # px, RMS misfit of the channels likewise; unrelated textures have a pixel and more
@@ -271,8 +271,7 @@ def _refined(
         field = backend.zeros(2, height, width)
     channels = preset.coarse_channels if max(height, width) <= COARSE_PX else preset.channels
     rivalled = start is not None or max(height, width) <= preset.rivals_px
-    if start is not None:
-        warps = max(warps, 2)  # a rival is compared with a field refined at this scale
+    warps = max(warps, 1 if start is None else 2)  # a rival is compared with a field refined at this scale
     for number in range(warps):
         check_awaited()
         if number == min(1, warps - 1) and rivalled:

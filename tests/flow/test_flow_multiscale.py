@@ -2,6 +2,7 @@
 
 import warnings
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 from functools import cache
 from itertools import pairwise
 
@@ -17,6 +18,7 @@ from morphspace.flow.backends import OpenCVBackend
 from morphspace.flow.baselines import dis_medium
 from morphspace.flow.methods import METHODS
 from morphspace.flow.names import OURS
+from morphspace.flow.presets import ACCURATE
 from morphspace.grid import warp
 from morphspace.synthetic.warped import astronaut_face, flow_pair
 
@@ -344,6 +346,18 @@ def same_bytes(one, other):
         one.displacement.tobytes() == other.displacement.tobytes()
         and one.confidence.tobytes() == other.confidence.tobytes()
     )
+
+
+def test_every_scale_is_refined_at_least_once(picture, monkeypatch):
+    """No warp is one warp, forth and back: the likeness is that of a warp's constraints."""
+    canvas = picture(60, 52, seed=4)
+    reference, frame = (np.ascontiguousarray(image) for image in (canvas[:, 2:], canvas[:, :-2]))
+    found = []
+    for warps in (1, 0):
+        monkeypatch.setattr(multiscale, "WARPS_BACK", warps)
+        preset = replace(ACCURATE, warps=(warps,))
+        found.append(multiscale.method(preset)(reference)(frame))
+    assert same_bytes(*found)
 
 
 @pytest.mark.parametrize("name", OURS)

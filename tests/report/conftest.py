@@ -12,7 +12,7 @@ import pytest
 
 from morphspace.arrays import Image
 from morphspace.model.passes import Build, BuildSettings, build_steps
-from morphspace.report.advice.build import FRAMES_FEW, Case
+from morphspace.report.advice.build import Case
 from morphspace.report.build_page import build_page
 from morphspace.report.frames import FrameFigures, measure_frames
 from morphspace.steps import result_of
@@ -53,7 +53,7 @@ def _built(images: list[Image], folder: Path, **changes: object) -> Build:
 
 @pytest.fixture(scope="session")
 def build(tmp_path_factory: pytest.TempPathFactory) -> Build:
-    return _built(_talking(FRAMES_FEW + 6), tmp_path_factory.mktemp("work"))
+    return _built(_talking(26), tmp_path_factory.mktemp("work"))
 
 
 @pytest.fixture(scope="session")
