@@ -515,6 +515,8 @@ def _line(first: MorphModel | Loadings, last: MorphModel | Loadings, model: Morp
 def plot(what: MorphModel | Loadings, components: int | None = None) -> Any:
     """Draw a model's first components, or loadings over the frames, as a matplotlib figure.
 
+    Raises `BadInput` if it is neither, or the number of components is not one from 1 up.
+
     Examples
     --------
     >>> import morphspace as ms

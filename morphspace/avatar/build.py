@@ -214,7 +214,10 @@ def blend_steps(models: Sequence[MorphModel], settings: AvatarSettings, work_fol
 def checked(
     models: Sequence[MorphModel], settings: AvatarSettings
 ) -> tuple[Studio, Sequence[tuple[int, int]]]:
-    """Check models and settings, and return the prepared blend and the chosen expressions; costs little."""
+    """Check models and settings, and return the prepared blend and the chosen expressions; costs little.
+
+    Raises `BadInput` as `studio_of` does, and if the chosen expressions are too few for a model.
+    """
     studio = studio_of(models, settings)
     chosen = studio.chosen()
     if len(chosen) < LEAST_EXPRESSIONS:

@@ -85,7 +85,10 @@ def checked_pair(
 def checked_frame(
     reference: Image, frame: Image, names: tuple[str, str] = ("the reference", "the frame")
 ) -> Image:
-    """Check a frame against a checked reference (h, w, 3); see `checked_pair`."""
+    """Check a frame against a checked reference (h, w, 3), as `checked_pair` does.
+
+    Raises `SizeMismatch` if their sizes differ, and `BadInput` if the frame is no picture.
+    """
     one, other = reference, checked_picture(frame, names[1])
     if one.shape != other.shape:
         raise SizeMismatch(

@@ -289,7 +289,10 @@ def _carried(source: Motion, imitator: Imitator, model: MorphModel) -> Steps[Mot
 
 
 def at_common_rate(stimulus: Motion, imitation: Motion, notes: list[str]) -> tuple[Motion, Motion]:
-    """Sample both motions at even times, at the stimulus' rate if it is known, and append notes on timing."""
+    """Sample both motions at even times, at the stimulus' rate if it is known, and append notes on timing.
+
+    Raises `BadInput` if too few frames of the imitation are left.
+    """
     own_hz, count = imitation.rate_hz, len(imitation.loadings_sd)
     was_even = is_even(imitation.times_s, own_hz)
     stimulus = _evened(stimulus, stimulus.rate_hz, notes)

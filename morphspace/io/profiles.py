@@ -67,7 +67,10 @@ def in_srgb(path: Path, colour: AnyArray, spec: Any) -> AnyArray:
 
 
 def from_space(path: Path, colour: AnyArray, name: str) -> AnyArray:
-    """Return colours (h, w, 3) of a space of OpenImageIO as sRGB, clipped to [0, 1] if they are converted."""
+    """Return colours (h, w, 3) of a space of OpenImageIO as sRGB, clipped to [0, 1] if they are converted.
+
+    Raises `BadInput` if the space is not one that is converted.
+    """
     if name in TAKEN_AS_SRGB:
         return colour
     if name not in CONVERTED:
@@ -79,7 +82,10 @@ def from_space(path: Path, colour: AnyArray, name: str) -> AnyArray:
 
 
 def from_profile(path: Path, colour: AnyArray, profile: bytes) -> AnyArray:
-    """Return colours (h, w, 3) of an ICC profile as sRGB; those of an sRGB profile are returned as they are."""
+    """Return colours (h, w, 3) of an ICC profile as sRGB; those of an sRGB profile are returned as they are.
+
+    Raises `BadInput` if the profile is neither of RGB nor of grey, or cannot be used.
+    """
     kind = profile[16:20]
     if kind == b"GRAY" and (colour[..., :1] == colour).all():
         profile = _rgb_of_grey(path, profile)

@@ -61,7 +61,10 @@ class MorphPCA(ClassNamePrefixFeaturesOutMixin, TransformerMixin, BaseEstimator)
         self.weight = weight
 
     def fit(self, X: AnyArray, y: Any = None) -> Self:
-        """Fit the mean and the components to rows X (n, d); y is ignored."""
+        """Fit the mean and the components to rows X (n, d); y is ignored.
+
+        Raises `BadInput` if the weight or `n_components` cannot be used.
+        """
         rows = validate_data(self, X, dtype=[np.float64, np.float32], ensure_min_samples=2)
         count, columns = rows.shape
         weight = np.ones(columns) if self.weight is None else np.asarray(self.weight, np.float64)
@@ -90,7 +93,7 @@ class MorphPCA(ClassNamePrefixFeaturesOutMixin, TransformerMixin, BaseEstimator)
         return self.basis_.project(rows - self.mean_)
 
     def inverse_transform(self, X: AnyArray) -> AnyArray:
-        """Return the rows (n, d) of loadings X (n, k)."""
+        """Return the rows (n, d) of loadings X (n, k). Raises `BadInput` if k differs."""
         check_is_fitted(self)
         loadings = np.asarray(X)
         if loadings.shape[-1:] != (self.basis_.rank,):

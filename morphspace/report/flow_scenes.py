@@ -89,7 +89,7 @@ def measured_scenes(
 ) -> Steps[Outcome]:
     """Measure presets on the scenes of a folder with known flow; `output` (.csv) stores the table.
 
-    Times are wall-clock times.
+    Times are wall-clock times. Raises `BadInput` with the name of a scene that cannot be measured.
     """
     chosen = {preset: methods.named(preset, backend) for preset in presets}
     scenes, bare = find_scenes(folder)

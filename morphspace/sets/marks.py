@@ -35,7 +35,7 @@ class Mark:
     lock: threading.Lock = dataclasses.field(default_factory=threading.Lock)
 
     def begin(self, begun: Mapping[str, str]) -> None:
-        """Write the head, and the files of a stopped run."""
+        """Write the head, and the files of a stopped run. Raises `UnwritableFile` if the disk is full."""
         head = {"format": MARK_FORMAT, "verb": self.output.verb, "process": os.getpid()}
         lines = [json.dumps(head), *(json.dumps(list(item)) for item in begun.items())]
         try:

@@ -138,7 +138,8 @@ def ready_model(
 ) -> Steps[UsedModel]:
     """Return the model with keypoints, built into `folder` if a clip was given.
 
-    A model in `folder` is reused if its clip's digests, its settings and the versions are the same.
+    A model in `folder` is reused if its clip's digests, its settings and the versions are the same. Raises `BadInput`
+    if keypoints are missing and cannot be detected.
     """
     if isinstance(given, UsedModel):
         return given

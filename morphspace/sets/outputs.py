@@ -198,7 +198,7 @@ def check_work_folder(folder: Path | None) -> None:
 
 
 def check_apart(output: Path, inputs: Sequence[Path]) -> None:
-    """Check that no input frame is in the output folder, where it would be mixed with the outputs."""
+    """Check that no input frame is in the output folder, among the outputs. Raises `BadInput` otherwise."""
     for path in inputs:
         if path.suffix.lower() not in VIDEO_SUFFIXES and path.parent.resolve() == output.resolve():
             raise BadInput(

@@ -140,7 +140,10 @@ def plan_of(
 
 
 def check_names(names: Sequence[str], tables: Sequence[str] = ()) -> None:
-    """Check that no two stimuli share a file on any common system, and that none uses a file name of the set."""
+    """Check that no two stimuli share a file on any common system, and that none uses a file name of the set.
+
+    Raises `BadInput` otherwise.
+    """
     counts = Counter(name.casefold() for name in names)
     kept = {*KEPT_STEMS, *(Path(table).stem.casefold() for table in tables)}
     for name in names:

@@ -50,7 +50,10 @@ class DrawingPiece:
     threads: int = 1
 
     def made(self) -> dict[str, Any]:
-        """Draw the stimulus, or keep a complete one; return its manifest row."""
+        """Draw the stimulus, or keep a complete one; return its manifest row.
+
+        Raises `BadInput` if the model is another one than at the start of the batch.
+        """
         model = _opened(self.model_path)
         if model.model_id != self.head["model"]["model_id"]:
             raise BadInput(

@@ -57,6 +57,8 @@ def caricatured(
 ) -> LoadingTable:
     """Multiply loadings (n, k) by the gain, in all components or only in these (from 0).
 
+    Raises `BadInput` if the gain is not finite.
+
     Examples
     --------
     >>> import numpy as np

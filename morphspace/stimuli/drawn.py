@@ -51,7 +51,10 @@ def draw(model: MorphModel, drawing: Drawing, originals: Iterable[Image] | None 
 def morphs_and_images(
     model: MorphModel, drawing: Drawing, originals: Iterable[Image] | None, workers: int
 ) -> Iterator[tuple[Morph, Image]]:
-    """Yield the morph and the image (h, w, 3) of each frame, in order, drawn by `workers` threads."""
+    """Yield the morph and the image (h, w, 3) of each frame, in order, drawn by `workers` threads.
+
+    Raises `BadInput` if the faces are placed into frames and there are none.
+    """
     mask = _mask_of(model, drawing)
     count = len(drawing.loadings_sd)
     if drawing.placing is not None and originals is None:

@@ -52,7 +52,7 @@ def asked(request: GridRequest) -> int:
 
 
 def plan(request: GridRequest, model: MorphModel | None = None) -> Steps[PlannedSet]:
-    """Check all settings without drawing; `model` is the open model, or None."""
+    """Check all settings without drawing, or raise `BadInput`; `model` is the open model, or None."""
     import numpy as np
 
     from morphspace.model.model import load_model

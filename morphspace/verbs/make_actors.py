@@ -40,7 +40,7 @@ class MakeActorsRequest:
 
 
 def run(request: MakeActorsRequest) -> Steps[Outcome]:
-    """Write the clip folders and truth/."""
+    """Write the clip folders and truth/. Raises `BadInput` if the size is too small or too large."""
     from morphspace import synthetic
     from morphspace.outcome import RECORD_NAME, Outcome, write_record
     from morphspace.sets.outputs import Output

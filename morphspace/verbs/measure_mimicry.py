@@ -81,7 +81,7 @@ def run(request: MeasureMimicryRequest, detector: Detector | None = None) -> Ste
     """Write measures.csv, the loadings of both, a side-by-side video and index.html.
 
     The outcome's `no_face` is the number of frames in which no face was found. `detector` None selects the package's
-    own if its networks are installed.
+    own if its networks are installed. Raises `BadInput` if the two motions, the model and the output do not fit.
     """
     from morphspace.face.detector import own_detector
     from morphspace.model.model import load_model

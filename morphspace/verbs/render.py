@@ -41,7 +41,7 @@ class RenderRequest:
 
 
 def run(request: RenderRequest) -> Steps[Outcome]:
-    """Draw the faces and write them."""
+    """Draw the faces and write them. Raises `BadInput` if the output's name does not fit the format."""
     from morphspace.sets.stimulus_set import write_animated, write_lone_video, write_set
 
     suffix = request.output.suffix.lower()

@@ -51,7 +51,7 @@ def run(request: SweepRequest) -> Steps[Outcome]:
 
 
 def plan(request: SweepRequest, model: MorphModel | None = None) -> Steps[PlannedSet]:
-    """Check all settings without drawing; `model` is the open model, or None."""
+    """Check all settings without drawing, or raise `BadInput`; `model` is the open model, or None."""
     import numpy as np
 
     from morphspace.model.model import load_model

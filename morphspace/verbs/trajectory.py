@@ -62,7 +62,7 @@ TrajectoryRequest.__doc__ = f"{inspect.cleandoc(TrajectoryRequest.__doc__ or '')
 
 
 def run(request: TrajectoryRequest) -> Steps[Outcome]:
-    """Write the set of stimuli, or the table."""
+    """Write the set of stimuli, or the table. Raises `BadInput` if the output is another file."""
     from morphspace.sets.stimulus_set import write_set
 
     if request.output.suffix.lower() == ".csv":
