@@ -37,16 +37,13 @@ COMPONENTS = 50
 EXPRESSIONS = 30  # of each actor, blended
 JUDGED = 12  # of each actor's
 SHARES = (0.3, 0.5, 0.7)  # of the first actor
-FLOW = (
-    "deepflow"  # from the drawn answer to what was made; no estimator of ours, and light does not mislead it
-)
+# From the drawn answer to what was made; no estimator of ours, and light does not mislead it
+FLOW = "deepflow"
 GOAL_PX, GOAL_PERCENT = 1.0, 10.0
 GOAL_SHARE = 0.05  # of the way from one actor to the other
 NUDGE = 0.05  # of an amount, for its derivative
-PRIOR = (
-    0.3,
-    3.0,
-)  # SD of an amount's error, and px of the flow's, whose errors run together: for what does not show
+# SD of an amount's error, and px of the flow's, whose errors run together: for what does not show
+PRIOR = (0.3, 3.0)
 EDGE = 0.02  # luma per px, where a point counts half: without texture a flow is a guess
 EDGE_REACH_PX = 1.5
 WORST_NAMED = 3  # amounts

@@ -22,13 +22,8 @@ from morphspace.io.images import read_image
 CLIPS = ("lp_d18", "lp_d13", "lp_d6", "lp_d0", "obama_a", "grid_pwij3p")
 FRAMES = 5  # of each clip, evenly spread
 MOST_EYES, MOST_PHILTRUM = 1.6, 3.8  # % of the distance between the eyes, what a prototype reached
-SHIFTS_PX = (
-    (0, 0),
-    (3, 1),
-    (1, 4),
-    (5, 2),
-    (2, 6),
-)  # whole pixels: nothing is interpolated, the truth is exact
+# Whole pixels: nothing is interpolated, the truth is exact
+SHIFTS_PX = ((0, 0), (3, 1), (1, 4), (5, 2), (2, 6))
 
 
 def detection(data: Path, work: Path, judge: str) -> None:

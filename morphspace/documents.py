@@ -49,9 +49,8 @@ Shape = typing.TypeVar("Shape", bound=Mapping[str, Any])
 Value = typing.TypeVar("Value")
 Schema = dict[str, Any]
 
-LARGEST_BYTES = (
-    500_000_000  # a sidecar has 20 bytes a loading: an hour of 60 frames a second in 100 components
-)
+# A sidecar has 20 bytes a loading: an hour of 60 frames a second in 100 components
+LARGEST_BYTES = 500_000_000
 LONGEST_KEY = 40  # characters of a key in a message
 
 

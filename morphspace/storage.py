@@ -30,9 +30,8 @@ from morphspace.errors import UnreadableFile, UnwritableFile
 ALIGNMENT = 64  # bytes; the data start on a cache line, so that maps of float32 and float64 are aligned
 MAX_HEADER_BYTES = 100_000_000  # the limit of safetensors; a larger number means random bytes
 KEPT_NAME = 40  # characters of a name that its temporary file keeps, within the system's limit
-OURS = (
-    ".morphspace-"  # in the names of unfinished files: no other program writes such, and they may be removed
-)
+# In the names of unfinished files: no other program writes such, and they may be removed
+OURS = ".morphspace-"
 UNFINISHED = re.compile(rf"\.(?P<stem>.{{1,40}}){re.escape(OURS)}[a-z0-9_]{{8}}(?P<suffix>\.[a-z0-9]+)")
 ABANDONED_AFTER_S = 3600  # a file is written in seconds: one unchanged for so long belongs to a killed run
 READ_BLOCK = 1 << 20  # bytes that are read at a time

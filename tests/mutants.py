@@ -49,10 +49,8 @@ FLIPPED = {
     ast.Is: "is not", ast.IsNot: "is", ast.In: "not in", ast.NotIn: "in",
 }  # fmt: skip
 MOST_NODES = 400  # tests named one by one; the rest come with their files
-MOST_START_S, MOST_TIMES = (
-    120.0,
-    10.0,
-)  # seconds of computing, and times what the tests took: a loop without end
+# Seconds of computing, and times what the tests took: a loop without end
+MOST_START_S, MOST_TIMES = 120.0, 10.0
 KINDS = ("constant", "number", "comparison", "sign")
 
 

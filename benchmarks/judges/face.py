@@ -59,16 +59,13 @@ IMAGE_SUFFIXES = frozenset({".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp"})
 LANDMARK_MODEL = "shape_predictor_68_face_landmarks.dat"
 IDENTITY_MODEL = "dlib_face_recognition_resnet_model_v1.dat"
 
-FACE_SIDE_PX = (
-    160.0  # the finder wants faces above 80 px: smaller pictures are enlarged until a face is about this
-)
+# The finder wants faces above 80 px: smaller pictures are enlarged until a face is about this
+FACE_SIDE_PX = 160.0
 FINDER_SCALES = (1.0, 2.0)  # times that, tried in turn; the second finds faces that fill less of the picture
-FINDER_MARGIN = (
-    0.25  # of the side, edge pixels added around: a face that fills the picture has no border to find
-)
-FINDER_THRESHOLD = (
-    -0.3
-)  # below the usual 0: an extreme expression scores low, and there is one face in a picture
+# Of the side, edge pixels added around: a face that fills the picture has no border to find
+FINDER_MARGIN = 0.25
+# Below the usual 0: an extreme expression scores low, and there is one face in a picture
+FINDER_THRESHOLD = -0.3
 
 # Where the finder draws its box, in eye distances from the middle of the eyes: mean of 252 frames of eight people.
 BOX_DOWN, BOX_SIDE = 0.51, 2.41

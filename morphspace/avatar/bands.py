@@ -24,12 +24,10 @@ from morphspace.flow.baselines import LUMA
 FINE = 0.010  # sd of the Gaussian that parts the finest band, of the width: 2 px at 200
 COARSE = 0.040  # and the one below which all is averaged
 AROUND = 0.020  # sd of the window in which strength is measured
-CHANGED = (
-    0.02,
-    0.08,
-)  # luma, 0 to 1: what an expression adds to the texture, from nothing to wholly another look
+# Luma, 0 to 1: what an expression adds to the texture, from nothing to wholly another look
+CHANGED = (0.02, 0.08)
 LEAST_STRENGTH = 1e-6  # of a band's variance, luma 0 to 1: where nobody has detail all count alike
-LEAST_SHARE = 1e-3
+LEAST_SHARE = 1e-3  # of a face at a pixel; where nobody has more, no sum of shares is 0
 
 
 @dataclass(frozen=True, eq=False)

@@ -35,11 +35,11 @@ from morphspace.storage import digest_of_json
 BLEND_FORMAT = "morphspace-blend-1"
 BLEND_VERSION = 5  # raise it when blends come out otherwise: kept pictures are then made again
 PIXEL_AVERAGES = 16  # expressions, evenly spread, of which the pixel average is made for comparison
-LEAST_EXPRESSIONS = 3
+LEAST_EXPRESSIONS = 3  # expressions; a build needs as many frames
 KEPT = 0.77  # of the pictures' sharpness comes back from the finished model; measured on two groups of four people
 NEAR = (0.93, 1.10)  # of what is wanted: further off, the model is built once more with another amount
 DRAWN = 24  # expressions, evenly spread, of which the finished model's sharpness is the mean
-TINY = 1e-9
+TINY = 1e-9  # squared 8-bit codes; keeps the ratio of two sharpnesses finite
 REGISTRATION: RegistrationKind = "similarity"  # of pictures the finished model is given
 
 

@@ -27,10 +27,8 @@ from morphspace.transfer.quality import reach_of
 
 MOST_GAIN = 1.3  # above it a model that cannot follow is pushed into faces it does not know
 # Where a version begins to lose weight, and where it is believed no more. By eye, on twenty pairs of five clips.
-MISSING = (
-    0.05,
-    0.15,
-)  # eye distances of motion; `mimic` flags .10 as out of range, which is wrong rather than torn
+# Eye distances of motion; `mimic` flags .10 as out of range, which is wrong rather than torn
+MISSING = (0.05, 0.15)
 LENGTH_SD = (2.0, 3.5)  # root mean square loading; training faces have 1
 MISFIT = (0.06, 0.14)  # eye distances between the gap asked for and the one shown, of lips or lids
 BEYOND = (0.03, 0.10)  # eye distances by which the lips are asked to open further than they ever did

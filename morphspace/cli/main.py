@@ -28,11 +28,9 @@ if TYPE_CHECKING:
     from morphspace.outcome import Outcome
     from morphspace.steps import Step, Steps
 
-PROGRESS_AFTER_S = 2.0
-PROGRESS_EVERY_S, IN_A_LOG_EVERY_S = (
-    0.1,
-    30.0,
-)  # s; on a terminal, and in a log file, where each update adds a line
+PROGRESS_AFTER_S = 2.0  # seconds; shorter work draws no bar
+# Seconds; on a terminal, and in a log file, where each update adds a line
+PROGRESS_EVERY_S, IN_A_LOG_EVERY_S = 0.1, 30.0
 CONTROL = re.compile(r"[\x00-\x1f\x7f-\x9f]+")  # names in messages may hold what moves a terminal's cursor
 
 

@@ -22,13 +22,10 @@ from morphspace.grid import warp
 
 LID_PAIRS = 3  # pairs in the middle of a lid ring; a single pair moves with the gaze
 SLIGHTLY_OPEN = 0.07  # eye distances between the lips' inner edges; teeth and mouth cavity are just visible
-OPEN_STEP, SHAPE_STEP = (
-    0.04,
-    0.06,
-)  # eye distances of one step, from that opening and from the clip's median face
-LID_STEP = (
-    0.03  # eye distances of one step, lids closer than the clip's median; a blink closes them by 0.06 to 0.15
-)
+# Eye distances of one step, from that opening and from the clip's median face
+OPEN_STEP, SHAPE_STEP = 0.04, 0.06
+# Eye distances of one step, lids closer than the clip's median; a blink closes them by 0.06 to 0.15
+LID_STEP = 0.03
 
 
 @dataclass(frozen=True)

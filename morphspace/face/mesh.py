@@ -55,9 +55,8 @@ PHILTRUM = 164
 # Symmetric pairs, the subject's right first, and a line down the face; expressions move these points little.
 MIRRORED_PAIRS = ((33, 263), (133, 362), (127, 356), (234, 454), (162, 389), (98, 327))
 DOWN_FROM, DOWN_TO = (33, 133, 362, 263), (98, 2, 327)  # the corners of the eyes, the base of the nose
-RESTING_PITCH_DEG = (
-    25.4  # degrees by which a frontal face's nose base is in front of its eyes; median of eight clips
-)
+# Degrees by which a frontal face's nose base is in front of its eyes; median of eight clips
+RESTING_PITCH_DEG = 25.4
 MAX_TURN_DEG = 20.0  # degrees; above it a driving face is flagged, since its far side is hidden
 
 

@@ -34,9 +34,8 @@ FACE_FROM_FACEFRAME = (0.0, 0.55, 1.25, 2.0)
 RIGID_FROM_FACEFRAME = (0.0, 0.15, 1.0, 0.75)
 MOUTH_FROM_FACEFRAME = (0.0, 1.4, 0.6, 0.5)
 SOFT_EDGE = 0.15  # share of the radius over which an ellipse falls from 1 to 0
-OVERLAP = (
-    0.6  # intersection over union with the detected face's ellipse, from which the usual ellipse is kept
-)
+# Intersection over union with the detected face's ellipse, from which the usual ellipse is kept
+OVERLAP = 0.6
 
 WHOLE = "whole"
 REGIONS = (WHOLE, "eyes", "brows", "mouth", "nose", "upper", "lower")
@@ -59,10 +58,8 @@ HALVES = 0.45  # share of the distance from eyes to philtrum at which upper and 
 # Of an avatar, in shares of the width where nothing else is said. An edge is the SD of its blur.
 INSIDE_OUTLINE = 0.04  # how far inside the outline a blend ends
 OUTLINE_EDGE = 0.03  # there the skin of two people meets
-HAIR, SKIN = (
-    0.65,
-    0.85,
-)  # of the median luma of a person's skin: hair is below the first, skin above the second
+# Of the median luma of a person's skin: hair is below the first, skin above the second
+HAIR, SKIN = 0.65, 0.85
 HAIR_EDGE = 0.015
 AROUND_HAIR = 0.02  # hair is thinner at its ends than its colour tells
 ABOVE_BROWS = 0.02  # of the height, from the upper edge of the brows to where hair is looked for

@@ -31,7 +31,7 @@ ROBUST_PASSES = 10  # reweightings; forty moved the eyes by 0.01 to 0.18 px on t
 STILL_PX = 0.003  # px; a reweighting that moves every point by less is the last
 ANCHORS = 2500  # points at most, evenly spread; all points moved the eyes by 0.01 to 0.07 px on three clips
 SCALE_FLOOR_PX = 0.2  # px; smaller residuals are flow noise, not expression
-CORNER_WINDOW_PX = 7
+CORNER_WINDOW_PX = 7  # px, side of the window in which texture is judged
 CORNER_PERCENTILE = 80  # percentile of texture in the rigid part, from which the weight is 1
 
 Box = tuple[slice, slice]

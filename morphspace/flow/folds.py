@@ -18,7 +18,7 @@ from morphspace.grid import warp
 LEAST_DETERMINANT = 0.05  # area of a cell, of 1; a smaller one counts as folded: rounding could flip it
 GENTLE_STEP_PX = 0.47  # px; smaller steps cannot fold, as 1 - 2 x this exceeds `LEAST_DETERMINANT`
 BAND_PX = 16  # rows that are searched together for larger steps
-FIRST_SD_PX = 1.0
+FIRST_SD_PX = 1.0  # px, SD of the first smoothing of a folded neighbourhood
 GROWTH = 1.3  # ratio of the smoothing in one round to that before
 NEIGHBOURS = np.ones((3, 3), np.uint8)  # a cell and those to the right of it and below
 ROUNDS = 14  # the last smooths over 30 px, which removes any fold of an estimator

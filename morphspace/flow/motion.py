@@ -59,7 +59,7 @@ ZONE_RADIUS = 5  # samples; the integration zone is 11 x 11 x 11
 ZONE_SCALE = 0.5 / sqrt(0.5 * tan(pi / 24))  # m1 of the model; its square is the zone's aspect ratio
 MOST_SD_PX = 100.0  # px; wider than any useful filter
 LARGEST_VALUE = 1e6  # grey levels; its squares and their sums stay far inside float32
-LEAST_SIDE_PX = 16
+LEAST_SIDE_PX = 16  # px; of a smaller clip the filters see mostly the edge
 LEAST_GRADIENT = sqrt(0.1 / 11**3) / 255
 """Per px, in [0, 1]: the model's threshold, 0.1 on a sum over 1331 samples at 256 grey levels, as a gradient."""
 RESIDUAL_WEIGHT = 6.0

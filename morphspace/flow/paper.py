@@ -37,12 +37,12 @@ from morphspace.flow.pairs import checked_pair, checked_picture, checked_start, 
 from morphspace.grid import warp
 
 SCALES = (0.05, 0.1, 0.2, 0.4, 0.8)  # shares of the full size, coarsest first
-SINGLE_SCALE = 0.8
+SINGLE_SCALE = 0.8  # share of the full size
 LEAST_SIDE_PX = 12  # px of a scale; coarser scales are omitted. 0.8 of the smallest picture is 13 px
-DERIVATIVE_SD_PX = 1.5
+DERIVATIVE_SD_PX = 1.5  # px of a scale; SD of the Gaussian that is derived
 BLUR_SD_PX = 0.5  # px of a scale; SD of the blur before it
 LONGEST_STEP_PX = 2 * DERIVATIVE_SD_PX  # px of a scale; the range of the filters
-PASSES = 50
+PASSES = 50  # averagings of the field
 LEAST_ENERGY = 1e-6  # squared contrasts per px; a smaller product is no texture, or no motion
 LEAST_LAPLACIAN = 1e-3  # share of the mean; a flat region then has equal weights
 ERROR_SD_PX = 3.0  # px, over which the local error is averaged

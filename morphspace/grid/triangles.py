@@ -18,9 +18,8 @@ import numpy as np
 from morphspace.arrays import AnyArray, Displacement
 
 EDGE_TOLERANCE = 1e-4  # cells; a pixel on a shared edge belongs to both triangles, so that no crack opens
-MARGIN_PX = (
-    2.0  # beyond the largest displacement: the ring of cells that continues the field outside the grid
-)
+# Beyond the largest displacement: the ring of cells that continues the field outside the grid
+MARGIN_PX = 2.0
 STEPS = 8  # of a walk; a smooth field needs two, and the pixels that are left then are searched
 STRETCH = 6  # the row of `MovedGrid.triangles` that holds the determinant
 

@@ -14,11 +14,8 @@ from scipy.spatial.distance import cdist
 from morphspace.arrays import AnyArray, LoadingTable
 
 BAND = 0.25  # of the longer sequence; the largest shift of a frame
-BOTH, FIRST, SECOND = (
-    0,
-    1,
-    2,
-)  # the sequence that a step advances; ties take the first of these
+# The sequence that a step advances; ties take the first of these
+BOTH, FIRST, SECOND = 0, 1, 2
 
 
 @dataclass(frozen=True, eq=False)

@@ -20,7 +20,7 @@ from morphspace.arrays import AnyArray, LoadingTable
 from morphspace.imitation.shape import centred
 
 COSTLY = 199  # surrogates, at most, for mutual information and alignment; the smallest p is then 0.005
-PIECES = 5
+PIECES = 5  # pieces of a motion that are put into another order
 TIE_TOL = 1e-9  # relative; rounding of equal scores
 CHUNK_NUMBERS = 1_000_000  # numbers in memory at a time
 

@@ -31,11 +31,8 @@ from morphspace.steps import Step, Steps, in_order
 from morphspace.stimuli.table_checks import check_reach
 from morphspace.storage import digest_of_file
 
-NAMED_BY_VERBS = (
-    "loadings",
-    "stimulus",
-    "imitation",
-)  # tables as mimic, reconstruct and measure-mimicry call them
+# Tables as mimic, reconstruct and measure-mimicry call them
+NAMED_BY_VERBS = ("loadings", "stimulus", "imitation")
 
 
 @dataclass(frozen=True, eq=False)

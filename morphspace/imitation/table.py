@@ -184,7 +184,7 @@ MEASURES = Document(
 # Of each number in the file. Loadings of one clip by another build, flow or machine move measures in the third.
 DECIMALS = {"variance_percent": 3, "distance": 6, "lag_frames": 3, "alignment_steps": 0}
 P_DECIMALS = 6  # a p is a count over the permutations
-OTHERS = 4
+OTHERS = 4  # decimals of every other measure
 TEXTS = "name", "undefined"
 
 

@@ -24,10 +24,8 @@ from morphspace.requests import AS_IT_IS, LEAST_RATE_HZ, MOST_RATE_HZ, ClipOptio
 from morphspace.storage import digest_of_bytes, digest_of_file
 
 IMAGE_SUFFIXES = (".png", ".tif", ".tiff", ".jpg", ".jpeg", ".exr", ".bmp", ".webp", ".avif", ".jxl")
-PHONE_SUFFIXES = (
-    ".heic",
-    ".heif",
-)  # frames if libav reads them: it does not join the tiles of a phone's picture
+# Frames if libav reads them: it does not join the tiles of a phone's picture
+PHONE_SUFFIXES = (".heic", ".heif")
 VIDEO_SUFFIXES = (
     ".mp4",
     ".mov",

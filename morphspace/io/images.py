@@ -30,26 +30,12 @@ from morphspace.storage import whole_file
 oiio.attribute("threads", 1)  # callers distribute files over processes
 oiio.attribute("exr_threads", 1)
 
-READ_FORMATS = (
-    "png",
-    "tiff",
-    "jpeg",
-    "openexr",
-    "bmp",
-    "webp",
-    "pnm",
-    "targa",
-    "jpegxl",
-)  # truncated files of these formats are detected
+# Truncated files of these formats are detected
+READ_FORMATS = ("png", "tiff", "jpeg", "openexr", "bmp", "webp", "pnm", "targa", "jpegxl")
 WRITE_SUFFIXES = (".png", ".tif", ".tiff", ".jpg", ".jpeg", ".exr")
 COLOUR_CHANNELS = (("r", "g", "b"), ("r", "g", "b", "a"), ("y",), ("y", "a"))
-TIFF_MODELS = (
-    0,
-    1,
-    2,
-    3,
-    6,
-)  # photometric interpretations: grey, RGB, palette and YCbCr; the others are CMYK or Lab
+# Photometric interpretations: grey, RGB, palette and YCbCr; the others are CMYK or Lab
+TIFF_MODELS = (0, 1, 2, 3, 6)
 PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"
 AVIF_SPACES = {1: "", 2: "", 5: "", 6: "", 12: "srgb_p3d65_scene"}  # by primaries (ISO 23091-2)
 JPEG_QUALITY = 95  # of 100; at 4:4:4 errors stay near one 8-bit code

@@ -24,10 +24,8 @@ DATE = re.compile(
     rf"\d{{1,4}}[-/. ]+({MONTH}|\d{{1,2}}[-/. ])([-/. ]*\d{{1,4}})?\.?([ T]\d\d?:\d\d.*)?|{MONTH}[-/. ]\d{{1,4}}"
 )
 LINE_END = re.compile(r"\r\n|\r|\n")
-MARKS_OF_UTF_16 = (
-    codecs.BOM_UTF16_LE,
-    codecs.BOM_UTF16_BE,
-)  # at the start of a file, which tell it from all others
+# At the start of a file, which tell it from all others
+MARKS_OF_UTF_16 = (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)
 EXPORT = "Export it again as CSV UTF-8 with commas between the columns and decimal points"
 
 

@@ -33,9 +33,8 @@ SMALL_SIDE_PX = 100  # px, width of the compared frames
 HARDEST = 0.25  # share of the targets, the hardest to reach, whose mean error is the score
 EXTREMES = (5, 95)  # percentiles of the contrast; one frame with a hand before the mouth must not decide
 ABOUT_EQUAL = 1.05  # times the best score; below it the mouth decides
-NEARLY_EQUAL = (
-    1.15  # times the best score; below it the distance from neutral decides, if face points are known
-)
+# Times the best score; below it the distance from neutral decides, if face points are known
+NEARLY_EQUAL = 1.15
 
 
 @dataclass(frozen=True, eq=False)

@@ -30,7 +30,7 @@ LEAST_SHARE_OF_SHEET = 0.25  # of the rows; reserved for expressions with most v
 FULL_PART = 0.75  # of its nominal weight; below it a version is listed as having less weight
 LARGE_FACES = 3  # pairs of blend and pixel average at full size
 SOURCES_SHOWN = 60  # largest number of rows of the table of expressions with versions left out
-COMPONENTS_LISTED = 12
+COMPONENTS_LISTED = 12  # components, at most, in the table
 PICTURES_MADE = {
     "unsharpened": "blend before the unsharp mask",
     "pictures": "blended pictures, sharpened",

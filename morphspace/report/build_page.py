@@ -22,7 +22,7 @@ from morphspace.report.page import TIMES, Panel, fixed, markup, percent, render,
 from morphspace.report.plots import SMALL_SIZE, Mark, Plot, line_plot
 from morphspace.storage import write_text
 
-FOLD_MAPS = 4
+FOLD_MAPS = 4  # frames; the ones that fold most are drawn
 LIST_SHOWN = 6  # entries; longer lists are collapsed
 WORST_NAMED = 3  # frames named in a plot
 WORST_LISTED = 8  # frames in the table

@@ -14,8 +14,8 @@ from morphspace.report import pictures
 from morphspace.report.page import DASH, Panel, signed
 from morphspace.report.plots import Mark, Plot, share_plot
 
-COMPONENTS_SHOWN = 8
-REACHED_PERCENT = (90, 95, 99)
+COMPONENTS_SHOWN = 8  # components, at most, drawn as strips
+REACHED_PERCENT = (90, 95, 99)  # of the variance; the page says how many components reach it
 
 
 @dataclass(frozen=True, eq=False)

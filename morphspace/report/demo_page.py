@@ -19,12 +19,12 @@ from morphspace.steps import Step, Steps, in_order
 from morphspace.stimuli.sampling import along
 from morphspace.storage import make_folder, write_text
 
-SEED = 1
+SEED = 1  # of the random faces
 SHOWN_FRAMES = 8  # frames in a strip
 SWEPT = 4  # components swept
-SWEPT_SD = (-2.0, -1.0, 0.0, 1.0, 2.0)
-RANDOM_FACES = 8
-CARICATURE_GAIN = 1.6
+SWEPT_SD = (-2.0, -1.0, 0.0, 1.0, 2.0)  # SD of the component
+RANDOM_FACES = 8  # faces
+CARICATURE_GAIN = 1.6  # times the distance from the mean; plain to see on a drawn face
 
 
 def demo_pictures(model: MorphModel, clip_folder: Path, folder: Path) -> Steps[None]:

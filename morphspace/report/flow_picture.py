@@ -27,8 +27,8 @@ from morphspace.report.pictures import change_chart
 PANEL_PX = 440  # px; the longer side of a picture on the sheet
 LEAST_CELL_PX = 230  # px; room for a title
 MARGIN_PX, GAP_PX, TITLE_PX = 32, 26, 30
-WHEEL_PX = 190
-LEGEND_PX = 260
+WHEEL_PX = 190  # px, side of the colour wheel
+LEGEND_PX = 260  # px, width of the legend
 LINE_PX = 25  # px between lines of figures
 TITLE_SIZE, TEXT_SIZE, SMALL_SIZE = 17, 15, 13
 REGULAR, BOLD = 400, 600

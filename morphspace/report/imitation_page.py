@@ -16,7 +16,7 @@ from morphspace.report.plots import PLOT_SIZE, SMALL_SIZE, Mark, Plot, line_plot
 
 TRACES_SHOWN = 12  # components plotted; the table has all
 LEAST_RANGE_SD = 1.0  # SD; range of a trace's axis, so that a still component looks still
-LEAST_RANGE_FRAMES = 4.0
+LEAST_RANGE_FRAMES = 4.0  # frames; likewise of the alignment
 COLUMNS = (
     ("correlation", "r", 2),
     ("correlation_p", "p of r", 3),

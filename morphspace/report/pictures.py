@@ -26,7 +26,7 @@ Face = TypeVar("Face", Morph, MorphOffset)
 
 JPEG_QUALITY = 88  # errors are invisible on faces of this size, and pages stay below a few megabytes
 STRIP_WIDTH_PX = 160  # px; width of a component's pictures, which are drawn at this size
-STRIP_AMOUNTS_SD = (-2, -1, 0, 1, 2)
+STRIP_AMOUNTS_SD = (-2, -1, 0, 1, 2)  # SD of the component
 PANEL_GAP_PX = 4  # px between the panels of a video
 GAP_PX = 3  # px between the two pictures of a contact sheet
 FOLD_SIDE_PX = 300  # px; smaller fold maps are drawn at twice the size, so that single cells are visible

@@ -14,8 +14,8 @@ from markupsafe import Markup
 
 from morphspace.report.page import markup
 
-PLOT_SIZE = (1040, 300)
-SMALL_SIZE = (510, 190)
+PLOT_SIZE = (1040, 300)  # px of the drawing: the width of a page
+SMALL_SIZE = (510, 190)  # px; two stand side by side
 LEFT, RIGHT, TOP, BOTTOM = 52, 14, 28, 34  # px; margins for the axes' labels
 LABEL_ROW_PX = 17  # px; height of the row of a named point
 LABEL_CHARACTERS = 40  # characters; longer names are truncated, the table has them in full

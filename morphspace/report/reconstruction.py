@@ -28,7 +28,7 @@ from morphspace.storage import write_text
 FOLDERS = ("aligned", "reconstructed", "placed")
 PAGE_NAME, SHEET_NAME, METRICS_NAME = "index.html", "sheet.png", "metrics.csv"
 SHEET_FRAMES = 16  # frames on the sheet, evenly spread
-SHEET_COLUMNS = 8
+SHEET_COLUMNS = 8  # frames in a row of the sheet
 WORST_NAMED = 3  # frames named in the plot
 LEAST_RANGE_DB = 4.0  # dB; range of the axis, so that noise does not fill it
 UNDEFINED_DB = 120.0  # dB, the PSNR of equal pictures

@@ -35,7 +35,7 @@ from morphspace.storage import digest_of_file
 
 MODEL_SUFFIX = ".morph"
 TABLE_ROW = re.compile(r"(.+?\.csv):(.+)", re.IGNORECASE | re.DOTALL)
-PAIRS_KEPT = 8
+PAIRS_KEPT = 8  # pairs of models kept open in a process
 EQUAL = 0.03  # share of the mean step; steps that deviate more are not reported as equal
 GIVEN = "given"  # the spacing of positions that the user gives
 STEPS_NAME = "steps.csv"

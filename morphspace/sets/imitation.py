@@ -60,16 +60,9 @@ WRITTEN = (
     RECORD_NAME,
 )
 ROLES = "stimulus", "imitation"
-NOT_ON_PAGE = (
-    "notes",
-    "mask",
-    "region",
-    "outside_space",
-    "still",
-    "frames_without_face",
-    "least_p",
-)  # not listed as settings
-PAIRS_SHOWN = 8
+# Not listed as settings
+NOT_ON_PAGE = ("notes", "mask", "region", "outside_space", "still", "frames_without_face", "least_p")
+PAIRS_SHOWN = 8  # pairs of frames on the page, evenly spread
 
 
 @dataclass(frozen=True)

@@ -18,7 +18,7 @@ from morphspace.model.model import MorphModel
 from morphspace.steps import Step, Steps, in_order
 from morphspace.storage import digest_of_file
 
-CLIPS_KEPT = 8
+CLIPS_KEPT = 8  # encoded clips kept in a process
 Encoded = tuple[
     Loadings, AnyArray
 ]  # loadings (n, k), and registrations (n, 2, 3) to the source's own pictures

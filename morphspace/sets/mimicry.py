@@ -67,7 +67,7 @@ MIMIC_FILES = (
 )
 WORK_FOLDER = "mimic.work"  # finished frames of a stopped run
 WORK_FORMAT = "morphspace-mimic-frame-4"
-THUMBNAIL_WIDTH_PX = 132
+THUMBNAIL_WIDTH_PX = 132  # px, of a picture on the page
 
 
 @dataclass(frozen=True, eq=False)

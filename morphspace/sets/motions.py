@@ -26,7 +26,7 @@ from morphspace.stimuli.table_checks import check_table
 from morphspace.stimuli.trajectory import step_lengths
 
 JUMP = 1.0 + 1e-6  # median steps; a larger closing step is a visible jump
-STEP_DIGITS = 6
+STEP_DIGITS = 6  # decimals in the manifest
 COLUMNS: Mapping[str, Column] = {
     "tables": Column("The tables of loadings the motion was made from"),
     "operations": Column("What was done to them, in this order"),

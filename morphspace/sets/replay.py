@@ -39,12 +39,8 @@ from morphspace.storage import digest_of_file, digest_of_json, whole_file
 FOLDERS_UP = 2  # parent folders searched for a model: a set in a batch in a project
 LONGEST_VALUE = 60  # characters of a value in a message
 CLOSE = 1e-9  # relative; other versions of packages may change figures by this much
-ELSEWHERE = (
-    ("model", "file"),
-    ("model", "sha256"),
-    ("output", "file"),
-    ("output", "sha256"),
-)  # checked by replay
+# Checked by replay
+ELSEWHERE = (("model", "file"), ("model", "sha256"), ("output", "file"), ("output", "sha256"))
 
 
 @dataclass(frozen=True, eq=False)

@@ -28,7 +28,7 @@ from morphspace.stimuli.image_statistics import image_statistics
 from morphspace.stimuli.plausibility import plausibility, plausible_limits_sd
 from morphspace.storage import digest_of_bytes, digest_of_file, digest_of_json, whole_file, write_text
 
-PERCENT_DIGITS = 6
+PERCENT_DIGITS = 6  # decimals in a sidecar
 DECIDING = (  # sidecar entries that, with the drawing, determine the bytes of a stimulus
     *("format", "version", "verb", "request", "model", "inputs", "units", "consent", "licence", "versions"),
 )

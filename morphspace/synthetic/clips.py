@@ -23,7 +23,7 @@ from morphspace.synthetic.portrait import portrait_actor
 
 TRUTH_FORMAT = "morphspace-truth"
 TRUTH_VERSION = 1
-FRAME_RATE_HZ = 25.0
+FRAME_RATE_HZ = 25.0  # Hz, written in clip.json
 PORTRAIT_NAME = "portrait"
 
 

@@ -20,7 +20,7 @@ from morphspace.synthetic.interior import paint_interior
 from morphspace.synthetic.painting import FINE, paint_neutral
 from morphspace.synthetic.parameters import Capture, Expression, Identity
 
-DEFAULT_SIZE = (200, 240)
+DEFAULT_SIZE = (200, 240)  # px, width and height: the size of a model
 MARGIN_SHARE = 0.10  # of the picture's height, painted around it for head motion
 
 

@@ -19,7 +19,7 @@ from morphspace.synthetic.parameters import Expression, Identity
 from morphspace.synthetic.texture import grain, octaves
 
 TEETH_FOLLOW = 0.80  # of the jaw's drop at the chin: the incisors are nearer to the hinge
-TONGUE_FOLLOW = 0.56
+TONGUE_FOLLOW = 0.56  # of the jaw's drop, likewise
 
 BACK_TO_FRONT = ("right_iris", "left_iris", "tongue", "lower_teeth", "upper_teeth")
 """The layers over sclera and cavity in the order they are laid: two in the eyes, three in the mouth."""

@@ -29,8 +29,8 @@ WARP_KINDS: tuple[WarpKind, ...] = ("smooth", "mouth", "lit")
 
 FINE = 2  # pixels a side that are averaged to one
 SOLVED_PX = 1e-5  # far below what float32 positions hold
-NEWTON_STEPS = 60
-LONGEST_STEP_PX = 8.0
+NEWTON_STEPS = 60  # steps, at most, of the search for a point
+LONGEST_STEP_PX = 8.0  # px; a longer step may leave the sheet on which it is true
 LEAST_DETERMINANT = 0.3  # of a field that is taken: nowhere pressed to less than this share of its area
 MOST_DRAWS = 60  # eight were enough for any picture in use
 
@@ -55,9 +55,9 @@ LINE_POINTS = 4  # a cubic goes through them
 OPENING = 0.6  # the lower lip's drop against the largest bump, before all is scaled to the peak
 LIFT = 0.2  # the upper lip's rise against the lower lip's drop
 JAW_SD, LIP_SD = 0.20, 0.06  # shares of the picture: how far below and above the line the skin goes along
-GAIN_RANGE = (0.9, 1.11)
+GAIN_RANGE = (0.9, 1.11)  # times the light of the reference
 RAMP = 0.1  # brighter on one side, darker on the other by this share
-NOISE_SD = 2.0 / 255.0
+NOISE_SD = 2.0 / 255.0  # two 8-bit codes: the noise of a camera
 
 
 @dataclass(frozen=True, eq=False)

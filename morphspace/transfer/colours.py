@@ -25,20 +25,16 @@ from morphspace.model.keypoints import landmarks_of, moved_by_components, requir
 from morphspace.model.model import MorphModel
 from morphspace.model.morph import MorphOffset
 
-UPPER_FROM, LOWER_FROM = (
-    0.35,
-    0.70,
-)  # eyes to philtrum is 0 to 1; between these places the upper part blends into the lower
+# Eyes to philtrum is 0 to 1; between these places the upper part blends into the lower
+UPPER_FROM, LOWER_FROM = 0.35, 0.70
 # Weight of each training face's own distance against the distance of the mixture. At 1 fewer faces are mixed: colours
 # are a little sharper and follow a little worse.
 LOCALITY = 0.3
-NEAR_MEAN_SD = (
-    0.1  # SD, root mean square; nearer to the mean a face fades into the mean, which no frame shows
-)
+# SD, root mean square; nearer to the mean a face fades into the mean, which no frame shows
+NEAR_MEAN_SD = 0.1
 NEAREST = 100  # training faces in a mixture at most
-OPENING = (
-    2.0  # weight of a gap between lips or lids against a landmark's position: gaps decide what is visible
-)
+# Weight of a gap between lips or lids against a landmark's position: gaps decide what is visible
+OPENING = 2.0
 
 
 @dataclass(frozen=True, eq=False)

@@ -16,9 +16,9 @@ if TYPE_CHECKING:
     from morphspace.outcome import Outcome
     from morphspace.steps import Steps
 
-SEED = 1
+SEED = 1  # of the actors
 IDENTITIES, PORTRAITS, FRAMES = 2, 1, 30
-COMPONENTS = 15
+COMPONENTS = 15  # components, of 30 frames
 
 
 @declared

@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from morphspace.outcome import Outcome
     from morphspace.steps import Steps
 
-LISTED_COMPONENTS = 10
+LISTED_COMPONENTS = 10  # components whose variance is printed
 _FACEFRAMES = {"mean": "that is the mean of all", "source": "of whose expression it is"}
 
 

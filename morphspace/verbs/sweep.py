@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from morphspace.stimuli.drawing import Drawing
 
 VIDEO_FRAMES = 50  # frames forth and back, so that the video loops
-FRAME_RATE_HZ = 25.0
+FRAME_RATE_HZ = 25.0  # Hz; a sweep takes two seconds
 
 
 @declared

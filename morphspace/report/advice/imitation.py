@@ -11,14 +11,12 @@ from morphspace.imitation import Comparison
 from morphspace.imitation.motions import Motion
 from morphspace.model.model import MorphModel
 
-MOVED_SD = (
-    2.0  # means farther apart than this come from another face, light or camera, not from another expression
-)
+# Means farther apart than this come from another face, light or camera, not from another expression
+MOVED_SD = 2.0
 HARDLY = 0.05  # of the other's motion, root mean square
 SAME = 0.999  # a correlation with nothing left to find by a lag
-SMALL_P = (
-    0.02  # if p cannot fall below it, the reader should know: the smallest p then rest on one or two shifts
-)
+# If p cannot fall below it, the reader should know: the smallest p then rest on one or two shifts
+SMALL_P = 0.02
 
 
 def mean_apart(a_sd: LoadingTable, b_sd: LoadingTable, imitation: Motion, notes: list[str]) -> AnyArray:
