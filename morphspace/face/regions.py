@@ -54,6 +54,8 @@ ELLIPSES: Mapping[str, tuple[tuple[float, float, float, float], ...]] = {
 # Corners of the nose from the faceframe: across in eye distances, down as a share of the distance to the philtrum.
 NOSE = ((-0.14, 0.05), (0.14, 0.05), (0.36, 0.62), (0.36, 0.85), (-0.36, 0.85), (-0.36, 0.62))
 HALVES = 0.45  # share of the distance from eyes to philtrum at which upper and lower face meet
+# The same share; between these places the colours of the upper part blend into those of the lower, without a seam.
+UPPER_FROM, LOWER_FROM = 0.35, 0.70
 
 # Of an avatar, in shares of the width where nothing else is said. An edge is the SD of its blur.
 INSIDE_OUTLINE = 0.04  # how far inside the outline a blend ends
@@ -104,6 +106,26 @@ def mouth_surroundings(height: int, width: int, faceframe: FaceFrame | None = No
     (1.0, 0.0)
     """
     return _soft_ellipse(height, width, MOUTH_ELLIPSE, MOUTH_FROM_FACEFRAME, faceframe)
+
+
+def lower_share(height: int, width: int, faceframe: FaceFrame) -> Mask:
+    """Return the share of the lower face in each point of a mean face, (h, w): a ramp from eyes to philtrum.
+
+    It is wider than the edge between "upper" and "lower" of `region_mask`: colours are mixed across it.
+
+    Examples
+    --------
+    >>> share = lower_share(72, 60, FaceFrame((20.0, 30.0), (40.0, 30.0), (30.0, 70.0)))
+    >>> share[[30, 51, 70], 30].round(2).tolist()
+    [0.0, 0.5, 1.0]
+    """
+    right, left, lip = faceframe.points
+    eyes = (right + left) / 2
+    down = (lip - eyes) / float((lip - eyes) @ (lip - eyes))
+    y, x = np.mgrid[:height, :width]
+    along = (x - eyes[0]) * down[0] + (y - eyes[1]) * down[1]
+    ramp = np.clip((along - UPPER_FROM) / (LOWER_FROM - UPPER_FROM), 0, 1)
+    return (ramp * ramp * (3 - 2 * ramp)).astype(np.float32)
 
 
 def _check_region(name: str) -> None:

@@ -20,13 +20,12 @@ import numpy as np
 from morphspace.arrays import AnyArray, Image, LoadingTable, LoadingVector, Mask
 from morphspace.face.expression import ring_gaps
 from morphspace.face.mesh import LANDMARKS, landmark_places
+from morphspace.face.regions import lower_share
 from morphspace.linear.simplex import nearest_mixture
 from morphspace.model.keypoints import landmarks_of, moved_by_components, required_faceframe
 from morphspace.model.model import MorphModel
 from morphspace.model.morph import MorphOffset
 
-# Eyes to philtrum is 0 to 1; between these places the upper part blends into the lower
-UPPER_FROM, LOWER_FROM = 0.35, 0.70
 # Weight of each training face's own distance against the distance of the mixture. At 1 fewer faces are mixed: colours
 # are a little sharper and follow a little worse.
 LOCALITY = 0.3
@@ -114,7 +113,9 @@ class MixedColours:
     @cached_property
     def parts(self) -> tuple[Part, ...]:
         """The face above the nose, the face below it, and the surroundings."""
-        inside, lower = self.model.mask, _lower(self.model)
+        inside = self.model.mask
+        height, width = inside.shape
+        lower = lower_share(height, width, required_faceframe(self.model))
         shares = {"upper": inside * (1 - lower), "lower": inside * lower, "around": 1 - inside}
         shapes = _shapes(self.model, shares)
         return tuple(self._part(shapes[name], share) for name, share in shares.items())
@@ -143,18 +144,6 @@ class MixedColours:
         colours = np.take(textures, places, axis=1)  # a copy
         colours *= share.reshape(-1)[places, None]
         return Part(shape, self.faces @ shape, places, colours.reshape(self.model.rank, -1))
-
-
-def _lower(model: MorphModel) -> Mask:
-    """Compute the membership of each point of the mean face in its lower part, (h, w) in [0, 1]."""
-    right, left, lip = required_faceframe(model).points
-    eyes = (right + left) / 2
-    down = (lip - eyes) / float((lip - eyes) @ (lip - eyes))
-    height, width = model.mask.shape
-    y, x = np.mgrid[:height, :width]
-    along = (x - eyes[0]) * down[0] + (y - eyes[1]) * down[1]
-    ramp = np.clip((along - UPPER_FROM) / (LOWER_FROM - UPPER_FROM), 0, 1)
-    return (ramp * ramp * (3 - 2 * ramp)).astype(np.float32)
 
 
 def _shapes(model: MorphModel, shares: Mapping[str, Mask]) -> dict[str, AnyArray]:
