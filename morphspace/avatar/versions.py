@@ -25,10 +25,8 @@ from morphspace.transfer.mimicry import WITH_RESIDUAL, Method, Mimicry, auto_gai
 from morphspace.transfer.neutral import Neutral, neutral_of
 from morphspace.transfer.quality import reach_of
 
-MOST_GAIN = 1.3  # above it a model that cannot follow is pushed into faces it does not know
 # Where a version begins to lose weight, and where it is believed no more. By eye, on twenty pairs of five clips.
-# Eye distances of motion; `mimic` flags .10 as out of range, which is wrong rather than torn
-MISSING = (0.05, 0.15)
+MISSING = (0.05, 0.15)  # eye distances of motion; what `mimic` flags at .10 is wrong rather than torn
 LENGTH_SD = (2.0, 3.5)  # root mean square loading; training faces have 1
 MISFIT = (0.06, 0.14)  # eye distances between the gap asked for and the one shown, of lips or lids
 BEYOND = (0.03, 0.10)  # eye distances by which the lips are asked to open further than they ever did
@@ -99,7 +97,7 @@ def _projected(source: MorphModel, target: MorphModel, method: Method, max_sd: f
     neutral = neutral_of(source, target)
     gain = 1.0
     if method in WITH_RESIDUAL:
-        gain = min(MOST_GAIN, auto_gain(source, target, method, neutral=neutral))
+        gain = auto_gain(source, target, method, neutral=neutral)
     make = mimic(source, target, method, gain=gain, max_sd=max_sd, neutral=neutral)
     reach = reach_of(source, target, 1.0, neutral)  # the motion that was made, not what the gain makes of it
     gaps = Gaps(source, target, neutral) if _know_landmarks(source, target) else None
