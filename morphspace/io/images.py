@@ -24,7 +24,7 @@ from morphspace.errors import BadInput, UnreadableFile, UnwritableFile
 from morphspace.io.colour import check_image, codes_of, linear_of_srgb, srgb_of_linear
 from morphspace.io.limits import PICTURE_PX, check_limit
 from morphspace.io.names import UNFIT, check_link, check_name
-from morphspace.io.profiles import from_profile, from_space, in_srgb
+from morphspace.io.profiles import COLOUR_CHUNKS, declare, in_srgb
 from morphspace.storage import whole_file
 
 oiio.attribute("threads", 1)  # callers distribute files over processes
@@ -37,7 +37,6 @@ COLOUR_CHANNELS = (("r", "g", "b"), ("r", "g", "b", "a"), ("y",), ("y", "a"))
 # Photometric interpretations: grey, RGB, palette and YCbCr; the others are CMYK or Lab
 TIFF_MODELS = (0, 1, 2, 3, 6)
 PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"
-AVIF_SPACES = {1: "", 2: "", 5: "", 6: "", 12: "srgb_p3d65_scene"}  # by primaries (ISO 23091-2)
 JPEG_QUALITY = 95  # of 100; at 4:4:4 errors stay near one 8-bit code
 TRANSPOSED = (5, 6, 7, 8)  # EXIF orientations that exchange width and height
 LONGEST_NAME = 200  # bytes; file systems allow 255, including the suffix of a temporary file
@@ -335,16 +334,13 @@ def _read_avif(path: Path) -> Image:
     from morphspace.io.video import read_frames
 
     frame, _ = _opened_avif(path)
-    colour = next(iter(read_frames(path)))
     try:
-        profiles = [bytes(data) for data in frame.side_data if data.type.name == "ICC_PROFILE"]
+        list(frame.side_data)
     except ValueError as error:  # PyAV does not know all kinds of FFmpeg, such as Exif
         raise BadInput(
             f"{path} has metadata that PyAV cannot read, and its colour profile with them. Convert it to PNG or JPEG"
         ) from error
-    if profiles:
-        return from_profile(path, colour, profiles[0])
-    return from_space(path, colour, AVIF_SPACES.get(int(frame.color_primaries), "of unusual primaries"))
+    return next(iter(read_frames(path)))
 
 
 def _check_size(path: Path, width: int, height: int) -> None:
@@ -412,9 +408,9 @@ def _read_stored(path: Path) -> tuple[AnyArray, tuple[str, ...], Any]:
     source = _open(path)
     kind = source.format_name()
     try:
-        if kind == "png":
-            _check_png_is_whole(path)
+        declared = _colour_chunks(path) if kind == "png" else {}
         spec = source.spec()
+        declare(spec, declared)
         order = _check_header(path, spec, kind)
         stored = source.read_image(0, 0, 0, spec.nchannels, "unknown")
         if stored is None or source.has_error:
@@ -468,8 +464,12 @@ def _check_header(path: Path, spec: Any, kind: str) -> list[int]:
     )
 
 
-def _check_png_is_whole(path: Path) -> None:
-    """Check all chunks of a PNG before decoding: the decoder would print its own messages about damage."""
+def _colour_chunks(path: Path) -> dict[bytes, bytes]:
+    """Return the chunks of a PNG that declare its colour space, by kind, and check all chunks.
+
+    The decoder would print its own messages about damage.
+    """
+    found = {}
     content = memoryview(path.read_bytes())
     place = len(PNG_SIGNATURE)
     kind = b""
@@ -485,7 +485,10 @@ def _check_png_is_whole(path: Path) -> None:
             raise UnreadableFile(
                 f"{path} is damaged: the checksum at byte {end - 4} does not match. Copy it again"
             )
+        if kind in COLOUR_CHUNKS:
+            found[kind] = bytes(content[place + 8 : end - 4])
         place = end
+    return found
 
 
 def _unit_values(path: Path, stored: AnyArray) -> AnyArray:

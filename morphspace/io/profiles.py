@@ -1,4 +1,4 @@
-"""Colour spaces of still images, converted to sRGB by OpenColorIO (ours).
+"""Colour spaces of pictures and videos, converted to sRGB by OpenColorIO (ours).
 
 Phones write pictures in Display P3, cameras in Adobe RGB. Read as sRGB, a P3 picture of skin is too pale by several
 codes. OpenColorIO, which OpenImageIO brings, reads ICC profiles of RGB primaries and curves and computes in floats. A
@@ -10,6 +10,7 @@ from __future__ import annotations
 import os
 import struct
 import tempfile
+import zlib
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -41,7 +42,21 @@ CONVERTED = {
 }
 SRGB_SCENE = "sRGB Encoded Rec.709 (sRGB)"
 ADVICE = "Convert it to sRGB in the program that wrote it"
+COLOUR_CHUNKS = (b"iCCP", b"cICP", b"sRGB")
+SRGB_POINTS = bytes([1, 13, 0, 1])  # code points of ISO 23091-2: primaries, curve, matrix, full range
+CURVES = ((1,), (2,), (4,), (6,), (13,), (14,), (15,))  # those that programs take as that of sRGB
+LARGEST_PROFILE = 16_000_000  # bytes; profiles of printers have 4 million
 ADOBE_RGB = "g22_adobergb_scene"
+SPACES = {
+    0: "",
+    1: "",
+    2: "",
+    4: "",
+    5: "",
+    6: "",
+    7: "",
+    12: "srgb_p3d65_scene",
+}  # by primaries (ISO 23091-2)
 UNCALIBRATED = 65535  # of Exif's ColorSpace
 EXIF_BYTES = 65_536  # a JPEG's Exif block is at most so long
 ADOBE_MARK = b"R03\0"  # the interoperability index by which a camera says Adobe RGB (DCF 2.0)
@@ -50,6 +65,28 @@ SRGB_D50 = {  # primaries of sRGB adapted to D50 (IEC 61966-2-1 and the ICC spec
     b"gXYZ": (0.3850649, 0.7168786, 0.0971045),
     b"bXYZ": (0.1430804, 0.0606169, 0.7141733),
 }
+
+
+def declare(spec: Any, chunks: dict[bytes, bytes]) -> None:
+    """Add to a header what libpng leaves out: ICC profiles in which it finds a fault, and unusual code points."""
+    if b"iCCP" in chunks and b"sRGB" not in chunks and spec.getattribute("ICCProfile") is None:
+        profile = _unpacked(chunks[b"iCCP"].partition(b"\0")[2][1:])
+        spec.attribute(
+            "ICCProfile", oiio.TypeDesc(f"uint8[{len(profile)}]"), np.frombuffer(profile, np.uint8)
+        )
+    points = tuple(chunks.get(b"cICP", SRGB_POINTS))
+    is_srgb = points[:1] == (1,) and points[1:2] in CURVES
+    is_taken = spec.get_string_attribute("oiio:ColorSpace") in TAKEN_AS_SRGB
+    if points[2:] != (0, 1) or (is_taken and not is_srgb):
+        spec.attribute("oiio:ColorSpace", f"of the code points {', '.join(map(str, points))}")
+
+
+def _unpacked(packed: bytes) -> bytes:
+    """Return the profile of an iCCP chunk; what cannot be unpacked is returned as it is, and refused as no profile."""
+    try:
+        return zlib.decompressobj().decompress(packed, LARGEST_PROFILE) or b"\0"
+    except zlib.error:
+        return packed or b"\0"
 
 
 def in_srgb(path: Path, colour: AnyArray, spec: Any) -> AnyArray:
@@ -79,6 +116,14 @@ def from_space(path: Path, colour: AnyArray, name: str) -> AnyArray:
         _buffer(colour), CONVERTED[name], SRGB_SCENE, unpremult=False, colorconfig=_config(), nthreads=1
     )
     return _values_of(path, done, name)
+
+
+def from_primaries(path: Path, colour: AnyArray, primaries: int) -> AnyArray:
+    """Return colours (h, w, 3) of the primaries that a video or an AVIF declares as sRGB; raises as `from_space`.
+
+    Those of television are taken as sRGB's: standard definition differs by a few codes in strong colours.
+    """
+    return from_space(path, colour, SPACES.get(primaries, "of unusual primaries"))
 
 
 def from_profile(path: Path, colour: AnyArray, profile: bytes) -> AnyArray:

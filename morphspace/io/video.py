@@ -20,10 +20,11 @@ import av
 import numpy as np
 from av.video.reformatter import Interpolation
 
-from morphspace.arrays import Image
+from morphspace.arrays import AnyArray, Image
 from morphspace.errors import BadInput, SizeMismatch, UnreadableFile, UnwritableFile
 from morphspace.io.colour import check_image, codes_of
 from morphspace.io.damage import check_whole, is_whole_ffv1
+from morphspace.io.profiles import from_primaries, from_profile
 from morphspace.requests import check_rate
 from morphspace.storage import whole_file
 
@@ -53,6 +54,8 @@ STORED = {
     (True, True): "rgba64le",
 }  # by alpha and by more than 8 bits
 ALPHA_DECODERS = {"vp8": "libvpx", "vp9": "libvpx-vp9"}  # libav's own decoders drop the alpha of WebM
+PNG_CODECS = ("png", "apng")
+ICC_CHUNK = b"iCCP"  # its name lies in a frame's side data, which PyAV frees twice: the process would crash
 PRECISE = (
     Interpolation.BICUBIC
     | Interpolation.ACCURATE_RND
@@ -299,10 +302,16 @@ def _frames_of(path: Path, container: Any, stream: Any) -> Iterator[Any]:
         context = av.CodecContext.create(with_alpha, "r")
     context.thread_type = "AUTO"
     context.options = {"err_detect": "crccheck+explode"}
-    has_checksums = stream.codec_context.name == "ffv1" and bool(stream.codec_context.extradata)
+    header = bytes(stream.codec_context.extradata or b"")
+    has_checksums = stream.codec_context.name == "ffv1" and bool(header)
     for count, packet in enumerate(container.demux(stream)):
         if packet.is_corrupt or (packet.size and has_checksums and not is_whole_ffv1(bytes(packet))):
             raise UnreadableFile(f"{path} is damaged at frame {count}. Copy it again")
+        if context.name in PNG_CODECS and ICC_CHUNK in (header + bytes(packet)).partition(b"IDAT")[0]:
+            raise BadInput(
+                f"{path} has a colour profile in its PNG frames, which PyAV cannot read; expected sRGB without a "
+                "profile. Convert it"
+            )
         if packet.size:  # an empty packet is a lost frame of an AVI
             yield from context.decode(packet)
     yield from context.decode(None)
@@ -408,13 +417,30 @@ def _image_of(path: Path, frame: Any, aspect: Fraction) -> Image:
     white = 65535 if is_deep else 255
     if has_alpha:
         least = int(codes[..., 3].min())
-        if least < white:
+        if least < _largest_alpha(frame.format, white):
             raise BadInput(
                 f"{path} has an alpha channel that is not opaque (minimum {least / white:.3g}; expected 1). "
                 "Export it without transparency"
             )
         codes = codes[..., :3]
-    return _upright(path, codes.astype(np.float32) / np.float32(white), frame)
+    return _upright(path, _in_srgb(path, codes.astype(np.float32) / np.float32(white), frame), frame)
+
+
+def _largest_alpha(pixels: Any, white: int) -> int:
+    """Return the code of opaque alpha: swscale shifts that of 9 to 15 bits to 16, so that 1023 becomes 65472."""
+    bits = next(component.bits for component in pixels.components if component.is_alpha)
+    return white if bits <= 8 else (2**bits - 1) << (16 - bits)
+
+
+def _in_srgb(path: Path, colour: AnyArray, frame: Any) -> AnyArray:
+    """Return colours (h, w, 3) as sRGB, by the ICC profile of a frame, else by the primaries that it declares."""
+    try:
+        profile = next((bytes(data) for data in frame.side_data if data.type.name == "ICC_PROFILE"), None)
+    except ValueError:  # PyAV does not know all kinds of FFmpeg
+        profile = None
+    if profile is not None:
+        return from_profile(path, colour, profile)
+    return from_primaries(path, colour, int(frame.color_primaries))
 
 
 def _square_size(size: tuple[int, int], aspect: Fraction) -> tuple[int, int]:

@@ -10,6 +10,7 @@ import subprocess
 import sys
 import zlib
 
+import av
 import numpy as np
 import OpenImageIO as oiio
 import pytest
@@ -20,6 +21,7 @@ from PIL import ImageCms
 from morphspace.errors import BadInput
 from morphspace.io.colour import srgb_of_linear
 from morphspace.io.images import read_image, read_mask
+from morphspace.io.video import read_frames
 
 CODES = np.random.default_rng(3).integers(0, 256, (40, 30, 3), dtype=np.uint8)
 PLAIN = CODES.astype(np.float32) / np.float32(255)
@@ -208,6 +210,66 @@ def test_a_png_of_hdr_is_refused(tmp_path):
     with_chunk(tmp_path / "a.png", b"cICP", bytes([9, 16, 0, 1]))
     with pytest.raises(BadInput, match="the colour space pq_rec2020_display; expected sRGB"):
         read_image(tmp_path / "a.png")
+
+
+@pytest.mark.parametrize("points", [(9, 1, 0, 1), (1, 13, 0, 0), (12,), ()])
+def test_code_points_of_a_png_are_never_passed_over(tmp_path, points):
+    Pillow.fromarray(CODES).save(tmp_path / "a.png")
+    with_chunk(tmp_path / "a.png", b"cICP", bytes(points))
+    with pytest.raises(BadInput, match=r"a\.png has the colour space .*; expected sRGB"):
+        read_image(tmp_path / "a.png")
+
+
+def test_a_profile_that_libpng_drops_is_not_passed_over(tmp_path):
+    """libpng passes over a damaged profile, and over one of RGB in a grey picture, and reads the codes as they are."""
+    for name, icc in (("cut.png", P3[:-60]), ("junk.png", b"junk" * 100)):
+        Pillow.fromarray(CODES).save(tmp_path / name, icc_profile=icc)
+        with pytest.raises(BadInput, match=rf"{name} has a colour profile"):
+            read_image(tmp_path / name)
+    grey = Pillow.fromarray(CODES[..., 0])
+    for name, icc in (("same.png", SRGB), ("adobe.png", ADOBE)):
+        grey.save(tmp_path / name, icc_profile=icc)
+    assert_array_equal(read_image(tmp_path / "same.png"), np.repeat(PLAIN[..., :1], 3, axis=2))
+    assert_allclose(read_image(tmp_path / "adobe.png"), littlecms(ADOBE, grey.convert("RGB")), atol=ROUNDING)
+
+
+def test_a_video_of_another_space_is_converted_as_littlecms_does(tmp_path):
+    smooth = Pillow.fromarray(CODES[:5, :4]).resize((40, 30), Pillow.Resampling.BICUBIC)
+    for name, primaries in (("p3.mkv", 12), ("plain.mkv", 1)):
+        write_primaries(tmp_path / name, np.asarray(smooth), primaries)
+    assert_allclose(next(read_frames(tmp_path / "p3.mkv")), littlecms(P3, smooth), atol=ROUNDING)
+    assert_array_equal(next(read_frames(tmp_path / "plain.mkv")), np.asarray(smooth, np.float32) / 255)
+
+
+@pytest.mark.parametrize("primaries", [8, 9, 11])
+def test_a_video_of_primaries_that_are_not_converted_is_refused(tmp_path, primaries):
+    write_primaries(tmp_path / "a.mkv", CODES, primaries)
+    with pytest.raises(BadInput, match=r"a\.mkv has the colour space of unusual primaries; expected sRGB"):
+        next(read_frames(tmp_path / "a.mkv"))
+
+
+def test_an_animated_png_with_a_profile_is_refused_and_does_not_crash(tmp_path):
+    """PyAV frees the profile's name twice, which ended the process."""
+    frames = [Pillow.fromarray(np.roll(CODES, shift, axis=0)) for shift in range(3)]
+    for name, icc in (("plain.apng", None), ("p3.apng", P3)):
+        frames[0].save(
+            tmp_path / name, format="PNG", save_all=True, append_images=frames[1:], icc_profile=icc
+        )
+    assert len(list(read_frames(tmp_path / "plain.apng"))) == 3
+    for _ in range(5):
+        with pytest.raises(BadInput, match=r"p3\.apng has a colour profile in its PNG frames"):
+            list(read_frames(tmp_path / "p3.apng"))
+
+
+def write_primaries(path, codes, primaries):
+    with av.open(str(path), "w") as container:
+        stream = container.add_stream("ffv1", rate=25)
+        stream.pix_fmt = "bgr0"
+        stream.height, stream.width = codes.shape[:2]
+        stream.codec_context.color_primaries = primaries
+        picture = av.VideoFrame.from_ndarray(codes, format="rgb24")
+        container.mux(stream.encode(picture))
+        container.mux(stream.encode(None))
 
 
 def test_adobe_rgb_of_a_camera_without_a_profile_is_converted(tmp_path):

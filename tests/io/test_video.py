@@ -298,6 +298,23 @@ def test_alpha_is_refused_unless_opaque_as_in_a_png(tmp_path, name, codec, pixel
         list(read_frames(tmp_path / name))
 
 
+def test_opaque_alpha_of_more_than_8_bits_is_opaque(tmp_path):
+    """ProRes 4444, as editing programs export it: its largest alpha, 1023 or 4095, is not 65535 once it has 16 bits."""
+    for alpha in (1023, 1000):
+        picture = av.VideoFrame(64, 64, "yuva444p10le")
+        for plane, code in zip(picture.planes, (600, 512, 512, alpha), strict=True):
+            plane.update(np.full(plane.buffer_size // 2, code, "<u2").tobytes())
+        with av.open(str(tmp_path / f"{alpha}.mov"), "w") as container:
+            stream = container.add_stream("prores_ks", rate=25, options={"profile": "4444"})
+            stream.pix_fmt, stream.height, stream.width = "yuva444p10le", 64, 64
+            picture.pts, picture.time_base = 0, Fraction(1, 25)
+            container.mux(stream.encode(picture))
+            container.mux(stream.encode(None))
+    assert len(list(read_frames(tmp_path / "1023.mov"))) == 1
+    with pytest.raises(BadInput, match=r"has an alpha channel that is not opaque \(minimum 0\.97"):
+        list(read_frames(tmp_path / "1000.mov"))
+
+
 @pytest.mark.parametrize("seed", range(40))
 def test_a_flipped_bit_in_a_lossless_video_is_noticed_though_libav_reads_on(flipped, tmp_path, seed):
     content, packets = flipped
