@@ -24,17 +24,26 @@ def parameters_of(request: type) -> list[click.Parameter]:
 
 
 class VerbCommand(click.Command):
-    """A click command that refuses an option in place of another option's value."""
+    """A click command that refuses an option in place of another option's value, and one that is given twice."""
 
     def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
-        """Parse the words. Raise a usage error that names the option whose values are missing."""
+        """Parse the words. Raise a usage error that names the option whose values are missing or would be lost."""
         options = {
             flag: one for one in self.get_params(ctx) if isinstance(one, click.Option) for flag in one.opts
         }
-        words = iter(args)
+        words, given = iter(args), set[str | None]()
         for flag in words:
             if flag == "--":
                 break
+            option = options.get(flag.partition("=")[0])
+            if option is not None and not (option.multiple or option.is_flag):
+                if option.name in given:
+                    raise click.UsageError(
+                        f"{flag.partition('=')[0]} is given twice; expected once, as only the last would count. Join "
+                        "several values by commas",
+                        ctx,
+                    )
+                given.add(option.name)
             if flag not in options or options[flag].is_flag:
                 continue
             needed = options[flag].nargs

@@ -100,6 +100,27 @@ class Framing:
         return np.column_stack([np.diag(scale), scale * corner - 0.5 + (x, y)])
 
 
+def check_person(source: FramedClip) -> None:
+    """Raise `BadInput` if the place of the person lies outside the framed images: another face would be taken.
+
+    Examples
+    --------
+    >>> from morphspace.io.clips import open_clip
+    >>> from morphspace.requests import ClipOptions
+    >>> clip = open_clip(["anna"], ClipOptions(person=(40.0, 30.0)))
+    >>> check_person(FramedClip(clip, Framing(clip.size, (10, 10, 40, 48), (40, 48))))
+    """
+    chosen, seen = source.clip.person, source.person
+    if not isinstance(chosen, tuple) or not isinstance(seen, tuple):
+        return
+    if not all(-0.5 <= at <= side - 0.5 for at, side in zip(seen, source.framing.size, strict=True)):
+        x, y, w, h = source.framing.box
+        raise BadInput(
+            f"the person is at {chosen[0]:g},{chosen[1]:g} px, outside the part of the frames of {source.clip.name} "
+            f"that is read, in the crop {x},{y},{w},{h}; expected a place inside it. Give another --crop"
+        )
+
+
 class FrameSource(Protocol):
     """Frames at the model's size, in order: the input of a build."""
 

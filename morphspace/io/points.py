@@ -197,10 +197,13 @@ def read_marked_points(
         )
     three, kind, scheme, on_points = _three_of(path, points, lip)
     turn, on_y = _turn_of_y(path, three, size[1], y_axis)
-    down = turn(three)
-    if not _outside(
-        down, size
-    ).any():  # an eye or the lip outside is refused with the ways to turn the points
+    down, outside = turn(three), _outside(turn(points), size)
+    is_missing = len(points) > 3 and 2 * outside.sum() < len(
+        points
+    )  # -999 draws an eye's centre out of the image
+    if (
+        is_missing or not _outside(down, size).any()
+    ):  # else the line about the eye says how to turn the points
         check_inside(path, turn(points), size, "the image", EYES_ALONE)
     ordered, on_eyes = eyes_in_order(down, str(path))
     return MarkedPoints(ordered, kind, scheme, (*notes, *on_points, *on_y, *on_eyes))
@@ -384,10 +387,15 @@ def _rows_of_tem(path: Path, lines: Lines) -> Lines:
 
 
 def _rows_of_table(path: Path, lines: Lines) -> Lines:
-    """Return the lines of the points of a table, without its heading and without empty rows and columns."""
+    """Return the lines of the points of a table, without its heading, empty columns, and empty rows around them.
+
+    A row of empty cells between landmarks stays: it is one that is missing.
+    """
     check_not_separator_line(path, lines[0][1])
-    filled = [(number, bare) for number, line in lines if (bare := line.strip(EMPTY_CELLS))]
-    return filled[1:] if filled and HEADING.fullmatch(filled[0][1]) else filled
+    bare = [(number, line.strip(EMPTY_CELLS)) for number, line in lines]
+    filled = [place for place, (_, line) in enumerate(bare) if line]
+    rows = bare[filled[0] : filled[-1] + 1] if filled else []
+    return rows[1:] if rows and HEADING.fullmatch(rows[0][1]) else rows
 
 
 def _points_of(path: Path, rows: Lines) -> Points:
@@ -399,12 +407,12 @@ def _points_of(path: Path, rows: Lines) -> Points:
 def _point_of(path: Path, number: int, text: str, place: int) -> tuple[float, float]:
     """Read x and y from line `number`. Raise `BadInput`, which quotes it, if it is not a place."""
     words = APART.split(text)
-    if not all(NUMBER.fullmatch(word) or MISSING_WORD.fullmatch(word) for word in words):
+    if text and not all(NUMBER.fullmatch(word) or MISSING_WORD.fullmatch(word) for word in words):
         raise BadInput(f"{path}, line {number} is {_quoted(text)}; expected the numbers x and y. Correct it")
-    if len(words) != 2:
+    if text and len(words) != 2:
         remedy = "Write decimals with a point: commas separate numbers" if "," in text else "Correct it"
         raise BadInput(f"{path}, line {number} has {len(words)} numbers; expected 2, x and y. {remedy}")
-    is_missing = any(map(MISSING_WORD.fullmatch, words))
+    is_missing = not text or any(map(MISSING_WORD.fullmatch, words))
     values = (0.0, 0.0) if is_missing else (float(words[0]), float(words[1]))
     if values in MISSING_MARKS or not all(map(math.isfinite, values)):
         raise BadInput(

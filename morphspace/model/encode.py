@@ -11,7 +11,7 @@ from morphspace.arrays import Image, LoadingVector
 from morphspace.errors import BadInput
 from morphspace.face.faceframe import Frame, identity_affine
 from morphspace.io.clips import open_clip
-from morphspace.io.framing import MIN_SIDE_PX, FramedClip, Framing
+from morphspace.io.framing import MIN_SIDE_PX, FramedClip, Framing, check_person
 from morphspace.io.stimulus_sidecars import essentials_in
 from morphspace.model.loadings import Loadings
 from morphspace.model.model import MorphModel
@@ -116,6 +116,7 @@ def framed_for(
             f"face for frames of {model.identity} at {model.size[0]}x{model.size[1]}. Give larger pictures"
         )
     framed = FramedClip(clip, framing)
+    check_person(framed)
     model.for_person(framed.person)
     return framed
 
@@ -151,10 +152,14 @@ def notes_on_framing(framing: Framing, identity: str, what: str = "frames") -> t
 
 
 def notes_on_frames(source: FramedClip, identity: str, what: str = "frames") -> tuple[str, ...]:
-    """Report pictures that a clip passed over, and frames that were enlarged, as `notes_on_framing`."""
+    """Report pictures that a clip passed over, a crop in which a face was chosen, and enlarged frames."""
     framing = source.framing
+    person, crop = source.clip.person, framing.crop
+    faces: tuple[str, ...] = ()
+    if isinstance(person, str) and crop is not None:
+        faces = (f"--person {person} chooses among the faces inside the crop {','.join(map(str, crop))}",)
     is_enlarged = framing.scaled_size[0] > framing.box[2]
-    return source.clip.notes + (notes_on_framing(framing, identity, what) if is_enlarged else ())
+    return source.clip.notes + faces + (notes_on_framing(framing, identity, what) if is_enlarged else ())
 
 
 def energy_outside(offset: MorphOffset, model: MorphModel, inside: LoadingVector | None = None) -> float:

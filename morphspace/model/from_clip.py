@@ -18,7 +18,7 @@ from morphspace.flow.starts import StartKind
 from morphspace.grid.warp import apply_affine, inverse_affine
 from morphspace.io.clips import Clip
 from morphspace.io.clock import is_even, uneven_words
-from morphspace.io.framing import FramedClip, Framing
+from morphspace.io.framing import FramedClip, Framing, check_person
 from morphspace.io.images import read_mask
 from morphspace.io.names import composed
 from morphspace.io.sidecars import MarkedFaceframe
@@ -139,6 +139,7 @@ def build_clip(clip: Clip, asked: ClipSettings, work_folder: Path) -> Steps[tupl
         notes += found_crop.notes
     framing = Framing(clip.size, crop, asked.size or default_size(clip, crop))
     source = FramedClip(clip, framing)
+    check_person(source)
     notes += _size_notes(framing, asked)
     if detector is not None and source.person is not None:
         detector = load_detector(person=source.person)

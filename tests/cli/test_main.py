@@ -574,3 +574,19 @@ def test_an_interrupt_during_the_import_ends_in_one_line(monkeypatch, capsys):
     with pytest.raises(SystemExit) as ended:
         entry.run()
     assert ended.value.code == 130 and capsys.readouterr().err == "morphspace: stopped\n"
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ("--gain", "2", "--gain", "1"),
+        ("--gain=2", "--gain=1"),
+        ("-o", "a", "--output", "b", "--gain", "1"),
+        ("--gain", "-1", "--video", ".mp4", "--gain", "-1"),
+    ],
+)
+def test_an_option_of_one_value_is_not_given_twice(words: tuple[str, ...]) -> None:
+    """The last alone would count: of three gains, two would be lost without a word."""
+    refused(run("caricature", "a.morph", *words), "is given twice; expected once")
+    result = run("caricature", "a.morph", "-o", "a", "--frame", "a", "--frame", "b", "--quiet", "--quiet")
+    assert "twice" not in result.output

@@ -35,7 +35,7 @@ def file(tmp_path):
         ("headed.csv", "x,y\n170,253.5\n276.5,249.5\n-2,1000"),
         ("units.csv", '"x_px", "y_px"\n170, 253.5\n276.5, 249.5\n-2, 1000\n'),
         ("semicolons.csv", "X;Y\n170;253.5\n276.5;249.5\n-2;1000\n"),
-        ("spreadsheet.csv", "\ufeffx,y,,\r\n170,253.5,,\r\n,,,\r\n276.5,249.5,,\r\n-2,1000,,\r\n,,,\r\n"),
+        ("spreadsheet.csv", "\ufeffx,y,,\r\n170,253.5,,\r\n\r\n276.5,249.5,,\r\n-2,1000,,\r\n,,,\r\n"),
         ("first.csv", ";;\n;170;253.5;\n;276.5;249.5;\n;-2;1000;\n;;;\n"),
         ("a.txt", "# eyes, chin\n\n170 253.5\n276.5\t249.5\n  -2   1000  \n\n"),
     ],
@@ -117,3 +117,15 @@ def test_a_pair_has_as_many_points_in_both_whatever_their_form(file):
     assert_array_equal(two, [[5, 6], [7, 8], [9, 9]])
     with pytest.raises(BadInput, match=r"a\.tem has 3 landmarks, .*c\.txt has 2"):
         read_landmark_pair(tem, other)
+
+
+@pytest.mark.parametrize(
+    ("content", "line"), [("x,y\n1,2\n,\n3,4\n,\n", 3), ("1;2\n;\n3;4\n", 2), ("x,y\n,\n1,2\n", 2)]
+)
+def test_a_row_of_empty_cells_between_landmarks_is_a_missing_one(file, content, line):
+    """Passed over, it would shift all landmarks after it by one."""
+    place = line - content.startswith("x")
+    with pytest.raises(
+        BadInput, match=rf"a\.csv, line {line}: landmark {place} is '', which marks it as missing"
+    ):
+        _read_landmarks(file("a.csv", content))

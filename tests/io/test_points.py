@@ -325,3 +325,14 @@ def test_any_bytes_are_points_or_refused(tmp_path_factory, suffix, content):
     with contextlib.suppress(BadInput):
         points = read_marked_points(path, SIZE).points
         assert points.shape == (3, 2) and np.isfinite(points).all()
+
+
+@pytest.mark.parametrize("mark", [(-999, -999), (9999, 9999)])
+def test_a_landmark_that_draws_an_eye_out_of_the_picture_is_named_by_its_number(file, mark):
+    points = np.column_stack([np.linspace(20, 180, 68), np.full(68, 200.0)])
+    for start, x in ((36, 70.0), (42, 130.0)):
+        points[start : start + 6] = (x, 100.0)
+    points[40] = mark
+    text = "x,y\n" + "".join(f"{x},{y}\n" for x, y in points)
+    with pytest.raises(BadInput, match=r"landmark 41 of 68 lies outside the image"):
+        read_marked_points(file("a.csv", text), SIZE)

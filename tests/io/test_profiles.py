@@ -9,6 +9,7 @@ import struct
 import subprocess
 import sys
 import zlib
+from fractions import Fraction
 
 import av
 import numpy as np
@@ -239,6 +240,21 @@ def test_a_video_of_another_space_is_converted_as_littlecms_does(tmp_path):
         write_primaries(tmp_path / name, np.asarray(smooth), primaries)
     assert_allclose(next(read_frames(tmp_path / "p3.mkv")), littlecms(P3, smooth), atol=ROUNDING)
     assert_array_equal(next(read_frames(tmp_path / "plain.mkv")), np.asarray(smooth, np.float32) / 255)
+
+
+def test_the_profile_of_a_motion_jpeg_is_converted(tmp_path):
+    smooth = Pillow.fromarray(CODES[:5, :4]).resize((40, 30), Pillow.Resampling.BICUBIC)
+    for name, icc in (("p3", P3), ("plain", None)):
+        smooth.save(tmp_path / f"{name}.jpg", quality=95, subsampling="4:4:4", icc_profile=icc)
+        with av.open(str(tmp_path / f"{name}.mkv"), "w") as container:
+            stream = container.add_stream("mjpeg", rate=25)
+            stream.pix_fmt, stream.width, stream.height = "yuvj444p", 40, 30
+            packet = av.Packet((tmp_path / f"{name}.jpg").read_bytes())
+            packet.stream, packet.pts, packet.dts, packet.time_base = stream, 0, 0, Fraction(1, 25)
+            container.mux(packet)
+    plain = next(read_frames(tmp_path / "plain.mkv"))
+    stored = Pillow.fromarray(np.rint(plain * 255).astype(np.uint8))
+    assert_allclose(next(read_frames(tmp_path / "p3.mkv")), littlecms(P3, stored), atol=ROUNDING)
 
 
 @pytest.mark.parametrize("primaries", [8, 9, 11])

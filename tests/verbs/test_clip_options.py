@@ -18,7 +18,7 @@ from morphspace.io.clips import open_clip
 from morphspace.io.images import write_image
 from morphspace.io.tables import read_loadings_table
 from morphspace.io.video import video_info
-from morphspace.model.encode import encoded_frames, framed_for
+from morphspace.model.encode import encoded_frames, framed_for, notes_on_frames
 from morphspace.requests import CLIP_OPTIONS, ClipOptions, all_verbs, settings_of, verb_named
 from morphspace.sets import models as models_room
 from morphspace.steps import result_of
@@ -205,6 +205,20 @@ def test_the_chosen_face_starts_the_registration_and_changes_what_is_stored_of_a
             assert (28.75, 35.75) in asked
     assert shifts == {None: 0.0, "left": -1.0, "right": 1.0, (58.0, 72.0): -1.25}
     assert len(digests) == 4
+
+
+def test_a_place_outside_the_crop_of_the_build_is_refused_and_a_side_is_said(of_two, tmp_path, model):
+    """Another face would be read: the one inside the crop."""
+    two, _ = of_two
+    write_image(tmp_path / "two" / "a.png", np.kron(model.render(np.zeros(3)), np.ones((2, 2, 1))))
+    framing = {"source_size": [120, 144], "crop": [0, 0, 60, 72], "size": [60, 72]}
+    two = replace(two, provenance={**two.provenance, "framing": framing})
+    sources = (str(tmp_path / "two"),)
+    assert framed_for(two, sources, None, ClipOptions(person=(58.0, 70.0))).person == (58.0, 70.0)
+    with pytest.raises(BadInput, match=r"the person is at 90,72 px, outside .* in the crop 0,0,60,72"):
+        framed_for(two, sources, None, ClipOptions(person=(90.0, 72.0)))
+    (note,) = notes_on_frames(framed_for(two, sources, None, ClipOptions(person="right")), "two")
+    assert note == "--person right chooses among the faces inside the crop 0,0,60,72"
 
 
 def test_an_anchored_flow_searches_an_aligned_frame_where_the_reference_has_the_face(of_two):
