@@ -71,9 +71,7 @@ class Trial:
         return tuple(index for index in range(len(self.frames)) if index not in self.held_out)
 
 
-def trial(
-    data: Path, name: str, work: Path, detector: Detector | None = None, *, anchored: bool = False
-) -> Trial:
+def trial(data: Path, name: str, work: Path, detector: Detector | None = None) -> Trial:
     """Build the model of a clip's training frames; what is costly is taken from the work folder where it is there.
 
     With a `detector` the build and the alignment of held-out frames use the points of the face.
@@ -83,7 +81,7 @@ def trial(
     train, test = split(len(source.names))
     kept = FramedClip(source.clip.subset(train), source.framing)
     tell(f"{name}: model of {len(train)} frames")
-    settings = BuildSettings(detector=detector, anchored=anchored)
+    settings = BuildSettings(detector=detector)
     build = result_of(build_steps(kept, settings, work / "builds" / name, {"identity": name}))
     frames = {index: build.frame(place)[0] for place, index in enumerate(train)}
     tell(f"{name}: {len(test)} held-out frames")

@@ -119,8 +119,8 @@ def held_out(data: Path, clips: tuple[str, ...], work: Path) -> None:
 def with_landmarks(data: Path, clips: tuple[str, ...], work: Path) -> None:
     """Print how held-out frames come back from models built without and with the points of the face, side by side."""
     print(
-        "As above, fitted: PSNR (dB) of pixel PCA and gain over it, by models built with `--landmarks none`, `auto` "
-        "and `anchor`. Each way has its own alignment and may have its own mask, so the PSNRs are not all of the same "
+        "As above, fitted: PSNR (dB) of pixel PCA and gain over it, by models built with `--landmarks none` and "
+        "`auto`. Each way has its own alignment and may have its own mask, so the PSNRs are not all of the same "
         "pixels; the gains are each over its own peer. Scale: smallest and largest registration gave a frame. Left: "
         "median / largest root mean square of what the flow leaves of the training frames, colour in 8-bit codes.\n"
     )
@@ -128,9 +128,9 @@ def with_landmarks(data: Path, clips: tuple[str, ...], work: Path) -> None:
     detector = load_detector()
     for name in clips:
         columns = []
-        for one_detector, anchored in ((None, False), (detector, False), (detector, True)):
+        for one_detector in (None, detector):
             with remembered_flow(work / "flow"):
-                one = trial(data, name, work, one_detector, anchored=anchored)
+                one = trial(data, name, work, one_detector)
                 scores = _held_out_scores(one)
             columns.append((one, scores))
         for k in COMPONENTS:
@@ -146,9 +146,9 @@ def with_landmarks(data: Path, clips: tuple[str, ...], work: Path) -> None:
                 for one, _ in columns:
                     row += [one.build.choice.name, _scales(one), _left_over(one)]
             else:
-                row += [""] * 9
+                row += [""] * 6
             rows.append(row)
-    ways = ("none", "auto", "anchor")
+    ways = ("none", "auto")
     heads = [
         "clip",
         "k",

@@ -29,6 +29,7 @@ import avatar
 import avatar_drawn
 import batch
 import build
+import carried
 import detection
 import flow
 import flow_confidence
@@ -93,6 +94,9 @@ SECTIONS: dict[str, Section] = {
         "Landmarks of the reconstruction",
         lambda run: landmarks.landmarks(run.data, run.clips, run.work, run.mesh_judge),
         (DATA, MESH),
+    ),
+    "carried": Section(
+        "What the warp carries", lambda run: carried.carried(run.data, run.work, run.face_judge), (DATA, FACE)
     ),
     "detection": Section(
         "Face points, against MediaPipe's own",

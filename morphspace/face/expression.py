@@ -21,10 +21,12 @@ from morphspace.face.mesh import INNER_LIPS, LEFT_LIDS, MOUTH_CORNERS, RIGHT_LID
 from morphspace.grid import warp
 
 LID_PAIRS = 3  # pairs in the middle of a lid ring; a single pair moves with the gaze
-SLIGHTLY_OPEN = 0.07  # eye distances between the lips' inner edges; teeth and mouth cavity are just visible
-# Eye distances of one step, from that opening and from the clip's median face
-OPEN_STEP, SHAPE_STEP = 0.04, 0.06
-# Eye distances of one step, lids closer than the clip's median; a blink closes them by 0.06 to 0.15
+# Eye distances between the lips' inner edges. With .1 a clip of mostly closed lips takes a closed reference, whose warp
+# cannot open; with .3 the inner lips are left over (six people).
+PARTED = 0.15
+CLOSED_STEP, OPEN_STEP = 0.04, 0.08  # eye distances of one step below and above it
+SHAPE_STEP = 0.06  # eye distances of one step from the clip's median face
+# Eye distances of one step, lids closer than the clip's median; a blink closes them by 0.06 to 0.15.
 LID_STEP = 0.03
 
 
@@ -119,9 +121,9 @@ def _middle_gap(ring: Points, pairs: int) -> float:
 
 
 def distance_from_neutral(found: Sequence[FacePoints | None]) -> AnyArray:
-    """Measure the distance (n,) in steps of each face from neutral with slightly parted lips; inf without a face.
+    """Measure the distance (n,) in steps of each face from neutral with parted lips; inf without a face.
 
-    The distance is the root of three summed squares, each in its own step: the mouth opening against `SLIGHTLY_OPEN`,
+    The distance is the root of three summed squares, each in its own step: the mouth opening against `PARTED`,
     lids closer than in the median face, and the points against the median face, rms without head movement.
     """
     far = np.full(len(found), np.inf)
@@ -135,7 +137,8 @@ def distance_from_neutral(found: Sequence[FacePoints | None]) -> AnyArray:
     gaps = np.array([one.mouth_opening for one in measures])
     lids = np.array([one.lid_opening for one in measures])
     shut = np.maximum(np.median(lids) - lids, 0)
-    steps = ((gaps - SLIGHTLY_OPEN) / OPEN_STEP, off / SHAPE_STEP, shut / LID_STEP)
+    apart = (gaps - PARTED) / np.where(gaps < PARTED, CLOSED_STEP, OPEN_STEP)
+    steps = (apart, off / SHAPE_STEP, shut / LID_STEP)
     far[with_face] = np.sqrt(sum(step * step for step in steps))
     return far
 

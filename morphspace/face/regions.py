@@ -198,17 +198,17 @@ def _part(name: str, height: int, width: int, frame: FaceFrame | None, landmarks
     return _filled([to_px(_ellipse(*one)) for one in ELLIPSES[name]], 0.0, frame, height, width)
 
 
-def place_of_mask(face: FacePoints | None, height: int, width: int, overlap: float) -> FaceFrame | None:
+def place_of_mask(face: FacePoints | None, height: int, width: int) -> FaceFrame | None:
     """Return the faceframe that places the ellipse on the reference; None for that of a cropped face.
 
     The ellipse of a cropped face covers more of forehead and chin, and held-out frames are reconstructed slightly
-    better with it. It is kept if its intersection over union with the detected face's ellipse is `overlap` or more.
+    better with it. It is kept if its intersection over union with the detected face's ellipse is `OVERLAP` or more.
     """
     if face is None:
         return None
     found, usual = face_mask(height, width, face.faceframe()), face_mask(height, width)
     shared = float(np.minimum(found, usual).sum()) / float(np.maximum(found, usual).sum())
-    return None if shared >= overlap else face.faceframe()
+    return None if shared >= OVERLAP else face.faceframe()
 
 
 def origin_of_mask(drawn: Mask | None, marked: FaceFrame | None, placed: FaceFrame | None) -> str:

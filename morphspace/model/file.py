@@ -63,7 +63,7 @@ class SearchEntry(TypedDict, total=False):
     """The search of faces in the frames of a build."""
 
     detector: dict[str, Any]
-    anchored: bool
+    held: bool
     frames: Count
     frames_with_face: Count
     reference_has_face: bool

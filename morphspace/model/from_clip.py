@@ -50,9 +50,9 @@ class ClipSettings:
         Of the model's frames; None for `default_size`.
     crop : (x, y, w, h) px or "auto", optional
         A box of every frame, or "auto" for a box around the head.
-    landmarks : {"auto", "anchor", "none"}
-        "auto" finds the face in every frame if the detector's networks are installed. "anchor" also anchors the flow
-        to the face points. "none" runs no detector.
+    landmarks : {"auto", "none"}
+        "auto" finds the face in every frame, and holds the flow to its points, if the detector's networks are
+        installed. "none" runs no detector.
     mask : Path, optional
         A grey picture of the reference's size, white inside the face.
     reference : str, optional
@@ -157,7 +157,6 @@ def build_clip(clip: Clip, asked: ClipSettings, work_folder: Path) -> Steps[tupl
         faceframe=faceframe,
         faceframe_index=faceframe_index,
         detector=detector,
-        anchored=asked.landmarks == "anchor",
         is_video=clip.video_indices is not None,
     )
     build = yield from build_steps(

@@ -24,7 +24,7 @@ from morphspace.arrays import (
     read_only,
 )
 from morphspace.errors import BadInput, UnwritableFile
-from morphspace.face.anchor import FaceAnchor, anchor_of_build, was_anchored
+from morphspace.face.anchor import FaceAnchor, anchor_of_build, was_held
 from morphspace.face.detector import MissingModels, Person
 from morphspace.face.faceframe import FaceFrame, Frame, RegistrationKind, aligned
 from morphspace.face.mesh import SCHEME, FacePoints
@@ -186,9 +186,9 @@ class MorphModel:
     def flow_from_reference(self) -> FlowFunction:
         """The flow function of the build, with the reference prepared once, on first use."""
         find = methods.for_morphs(self.flow)(self.reference)
-        if not was_anchored(self.provenance) or self.anchor is None:
+        if not was_held(self.provenance) or self.anchor is None:
             return find
-        return self.anchor.anchored(find, *self.mask.shape)
+        return self.anchor.held(find, *self.mask.shape)
 
     @cached_property
     def anchor(self) -> FaceAnchor | None:
@@ -199,9 +199,7 @@ class MorphModel:
         MissingModels
             If the build used face points and the detector's networks are not installed.
         """
-        if self.reading == "flow alone" or (
-            self.registration == "none" and not was_anchored(self.provenance)
-        ):
+        if self.reading == "flow alone" or (self.registration == "none" and not was_held(self.provenance)):
             return None
         try:
             return anchor_of_build(self.reference, self.provenance, self.person)
@@ -308,11 +306,11 @@ class MorphModel:
 
     def encode_aligned(self, frame: Frame) -> Loadings:
         """Encode a frame that is aligned already: one row of raw loadings."""
-        return self.fit(frame, self.project(self.morph_of(frame.image)))
+        return self.fit(frame, self.morph_of(frame.image))
 
-    def fit(self, frame: Frame, start: LoadingVector) -> Loadings:
-        """Refine raw loadings (k,) on an aligned frame with `fit.Fitter`: one row of raw loadings."""
-        fitted = self._fitter.fit(frame.image, start)
+    def fit(self, frame: Frame, morph: Morph) -> Loadings:
+        """Project the morph of an aligned frame and refine the loadings with `fit.Fitter`: one row of raw loadings."""
+        fitted = self._fitter.fit(frame.image, self.project(morph))
         return Loadings(fitted[None], (frame.name,), self.model_id)
 
     @cached_property

@@ -20,7 +20,6 @@ from morphspace.face import regions
 from morphspace.face.anchor import FaceAnchor, rigid_movement
 from morphspace.face.crop import check_one_person, several_notes
 from morphspace.face.detector import Detector
-from morphspace.face.expression import distance_from_neutral
 from morphspace.face.faceframe import FaceFrame, Frame, RegistrationKind
 from morphspace.face.mesh import FacePoints
 from morphspace.face.points_in_clip import points_steps
@@ -35,7 +34,15 @@ from morphspace.model.keypoints import detect_faceframe, with_detected
 from morphspace.model.loadings import Loadings
 from morphspace.model.model import MorphModel, inner_product, model_digest
 from morphspace.model.morph import CHANNELS, Morph, invert_mean_shape, morph_of, resource, shown_share
-from morphspace.model.reference import POOL, ReferenceChoice, SmallFrame, reason_of, search, shrunk
+from morphspace.model.reference import (
+    POOL,
+    ReferenceChoice,
+    SmallFrame,
+    nearest_to_neutral,
+    reason_of,
+    search,
+    shrunk,
+)
 from morphspace.model.warp_weight import WeightTrial, best_trial, trial_weights
 from morphspace.model.work_frames import FramePlan, frame_steps, read_aligned, read_work_frame
 from morphspace.steps import Step, Steps, in_order, spread
@@ -72,8 +79,6 @@ class BuildSettings:
     faceframe_index : int, optional
     detector : Detector, optional
         Finds the face in each frame; see `build_steps`.
-    anchored : bool
-        Whether the flow is anchored to the detector's points.
     is_video : bool
         Whether the frames are those of a video, in which a face moves little from one to the next.
     """
@@ -88,7 +93,6 @@ class BuildSettings:
     faceframe: FaceFrame | None = None
     faceframe_index: int | None = None
     detector: Detector | None = None
-    anchored: bool = False
     is_video: bool = False
 
 
@@ -148,9 +152,8 @@ def build_steps(
     """Build a model; a generator of steps that returns a `Build`.
 
     With a detector, the face points replace what the settings leave open: rigid part, mask, the start of each
-    registration and the keypoints on the mean face. With `anchored` they also anchor each frame's flow
-    (`face.anchor`), and choose the reference among the frames that serve nearly as well. A frame without a detected
-    face is built without points.
+    registration and the keypoints on the mean face. They also choose the reference, and hold each frame's flow
+    (`face.anchor`). A frame without a detected face is built without points.
 
     Parameters
     ----------
@@ -257,11 +260,12 @@ def _reference_pass(source: FrameSource, settings: BuildSettings, survey: _Surve
             settings.reference, source.names[settings.reference], "named by the setting reference"
         )
     indices = sorted(survey.small)
-    faces = [survey.found[index] if settings.anchored else None for index in indices]
-    far = distance_from_neutral(faces)
-    known = bool(np.isfinite(far).any())
-    place, errors = yield from search([survey.small[index] for index in indices], far if known else None)
-    reason = reason_of(place, errors, faces[place], known)
+    faces = [survey.found[index] for index in indices]
+    if any(face is not None for face in faces):
+        place, reason = nearest_to_neutral(faces)
+    else:
+        place, errors = yield from search([survey.small[index] for index in indices])
+        reason = reason_of(place, errors)
     return ReferenceChoice(indices[place], source.names[indices[place]], reason)
 
 
@@ -284,12 +288,10 @@ def _plan(
             f"the mask is {settings.mask.shape[1]}x{settings.mask.shape[0]} px; expected {width}x{height}, the size of "
             "the frames. Draw it on the reference"
         )
-    overlap = 1.0 if settings.anchored else regions.OVERLAP
     on_reference = _OnReference(
         settings.faceframe or (None if face is None else face.faceframe()),
-        settings.faceframe or regions.place_of_mask(face, height, width, overlap),
+        settings.faceframe or regions.place_of_mask(face, height, width),
     )
-    holds = settings.detector is not None and face is not None and settings.anchored
     plan = FramePlan(
         reference=reference,
         reference_index=choice.index,
@@ -298,7 +300,7 @@ def _plan(
         registration=settings.registration,
         flow=settings.flow,
         start=settings.start,
-        anchor=FaceAnchor(settings.detector, face) if holds and settings.detector and face else None,
+        anchor=FaceAnchor(settings.detector, face) if settings.detector and face else None,
     )
     return plan, on_reference
 
@@ -314,7 +316,7 @@ def _landmarks_document(
     """Describe the detection for the provenance: detector, frames with a face, and the face of the reference."""
     return {
         "detector": dict(settings.detector.identity) if settings.detector else {},
-        "anchored": settings.anchored and found[choice.index] is not None,
+        "held": found[choice.index] is not None,
         "frames": len(found),
         "frames_with_face": sum(one is not None for one in found),
         "reference_has_face": found[choice.index] is not None,

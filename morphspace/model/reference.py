@@ -1,11 +1,10 @@
 """Choose the reference: the frame from which the other frames are reached best.
 
 Nagle et al. (section 2) ask for a neutral face with open eyes and a slightly open mouth, so that the flow finds in
-the reference what every other frame needs. Two measurements replace that judgement (ours). The first is how well a
-frame reaches the frames that are hardest to reach. The second decides among frames that are nearly as good: the mouth
-half way between the most closed and the most open of the clip. A warp cannot open a closed mouth, and the mean face
-would then show a ghost of it. If the face points are known, the frame nearest to neutral with slightly parted lips is
-taken instead, so that models whose flow is anchored to the points share their zero (`face.anchor`).
+the reference what every other frame needs. If the face points are known, the frame nearest to that is taken
+(`face.expression.distance_from_neutral`): a warp cannot open what the reference has closed. Otherwise two measurements
+replace that judgement (ours). The first is how well a frame reaches the frames that are hardest to reach. The second
+decides among frames that are nearly as good: the mouth half way between the most closed and the most open of the clip.
 """
 
 from __future__ import annotations
@@ -17,7 +16,8 @@ import cv2
 import numpy as np
 
 from morphspace.arrays import AnyArray, Image, Mask
-from morphspace.face.expression import expression_of
+from morphspace.errors import BadInput
+from morphspace.face.expression import distance_from_neutral, expression_of
 from morphspace.face.faceframe import FaceFrame
 from morphspace.face.mesh import FacePoints
 from morphspace.face.regions import face_mask, mouth_surroundings
@@ -33,8 +33,6 @@ SMALL_SIDE_PX = 100  # px, width of the compared frames
 HARDEST = 0.25  # share of the targets, the hardest to reach, whose mean error is the score
 EXTREMES = (5, 95)  # percentiles of the contrast; one frame with a hand before the mouth must not decide
 ABOUT_EQUAL = 1.05  # times the best score; below it the mouth decides
-# Times the best score; below it the distance from neutral decides, if face points are known
-NEARLY_EQUAL = 1.15
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,15 +77,37 @@ def shrunk(image: Image, faceframe: FaceFrame | None) -> SmallFrame:
     )
 
 
-def search(frames: Sequence[SmallFrame], far: AnyArray | None = None) -> Steps[tuple[int, dict[int, float]]]:
-    """Search the reference among small frames; a generator of steps.
+def nearest_to_neutral(faces: Sequence[FacePoints | None]) -> tuple[int, str]:
+    """Choose the reference among frames by their face points, None without a face.
+
+    Returns
+    -------
+    place : int
+        Of the face nearest to neutral with parted lips; the first of equals.
+    reason : str
+        For the choice, in words.
+
+    Raises
+    ------
+    BadInput
+        If no frame has a face.
+    """
+    place = int(np.argmin(distance_from_neutral(faces)))
+    face = faces[place]
+    if face is None:
+        raise BadInput("no frame shows a face; expected one at least. Search by `search`")
+    return place, (
+        f"chosen from {len(faces)} frames: its face is nearest to neutral with parted lips (they are "
+        f"{expression_of(face).mouth_opening:.2f} eye distances apart)"
+    )
+
+
+def search(frames: Sequence[SmallFrame]) -> Steps[tuple[int, dict[int, float]]]:
+    """Search the reference among small frames without face points; a generator of steps.
 
     Parameters
     ----------
     frames : sequence of n SmallFrame
-    far : array (n,), optional
-        Distance of each face from neutral (`face.expression.distance_from_neutral`), inf if unknown. It replaces the
-        contrasts.
 
     Returns
     -------
@@ -101,7 +121,7 @@ def search(frames: Sequence[SmallFrame], far: AnyArray | None = None) -> Steps[t
     contrasts = np.array([frame.contrast for frame in frames])
     first = spread(len(images), CANDIDATES)
     middle = _half_open(contrasts)
-    off = np.abs(contrasts - middle) if far is None else far
+    off = np.abs(contrasts - middle)
     rest = np.setdiff1d(np.arange(len(images)), first)
     second = rest[off[rest].argsort(kind="stable")][:HALF_OPEN]
     tried = np.concatenate([first, second]).astype(np.intp)
@@ -117,39 +137,18 @@ def search(frames: Sequence[SmallFrame], far: AnyArray | None = None) -> Steps[t
     for place, found in zip(tried, in_order(error, tried), strict=True):
         errors[int(place)] = found
         yield Step("reference", len(errors), len(tried))
-    limit = (ABOUT_EQUAL if far is None else NEARLY_EQUAL) * min(errors.values())
+    limit = ABOUT_EQUAL * min(errors.values())
     good = np.array([place for place, found in errors.items() if found <= limit])
     return int(good[off[good].argmin()]), errors
 
 
-def reason_of(place: int, errors: Mapping[int, float], face: FacePoints | None, by_face: bool) -> str:
-    """Describe in words why the candidate `place` of `search` became the reference.
-
-    Parameters
-    ----------
-    place, errors
-        As `search` returns them.
-    face : FacePoints or None
-        The face of that candidate, if it was found.
-    by_face : bool
-        Whether `search` was given distances from neutral.
-
-    Returns
-    -------
-    str
-        Sentences without the last full stop.
-    """
-    best, worst, limit = min(errors.values()), max(errors.values()), NEARLY_EQUAL if by_face else ABOUT_EQUAL
-    nearest = "its mouth is nearest to half open"
-    if face is not None:
-        nearest = (
-            "its face is nearest to neutral with slightly parted lips (they are "
-            f"{expression_of(face).mouth_opening:.2f} eye distances apart)"
-        )
+def reason_of(place: int, errors: Mapping[int, float]) -> str:
+    """Describe in words why the candidate `place` of `search` became the reference, from its `errors`."""
+    best, worst = min(errors.values()), max(errors.values())
     return (
         f"chosen from {len(errors)} candidates. Warped to it, the frames that fit worst differ from it by "
         f"{errors[place]:.4f} (rms colour, 0 to 1); the best candidate has {best:.4f}, the worst {worst:.4f}. "
-        f"Of the candidates within {limit - 1:.0%} of the best, {nearest}"
+        f"Of the candidates within {ABOUT_EQUAL - 1:.0%} of the best, its mouth is nearest to half open"
     )
 
 

@@ -32,7 +32,7 @@ from morphspace.steps import Step, Steps, in_order
 from morphspace.storage import digest_of_array
 
 FRAME_FORMAT = "morphspace-work-frame-3"
-FLOW_VERSION = 7  # increase it when a flow method changes its field: old results are then not reused
+FLOW_VERSION = 8  # increase it when a flow method changes its field: old results are then not reused
 
 FrameStart = Literal["coarse to fine", "neighbour"]
 
@@ -54,9 +54,9 @@ class FramePlan:
     flow : str
         Flow method.
     start : {"auto", "none"}
-        "auto" runs the second pass.
+        "auto" runs the second pass, unless the flow is held.
     anchor : FaceAnchor or None
-        Anchors the flow to the face points.
+        Holds the flow to the face points.
     """
 
     reference: Image
@@ -107,10 +107,10 @@ def frame_steps(
     """
     find = methods.for_morphs(plan.flow)(plan.reference)
     if plan.anchor is not None:
-        find = plan.anchor.anchored(find, *plan.mask.shape)
+        find = plan.anchor.held(find, *plan.mask.shape)
     starting = [None] * len(source.names) if movements is None else list(movements)
     files = yield from _first_pass(source, plan, find, work_folder, starting)
-    if plan.start == "auto" and plan.flow not in starts.WITHOUT_START:
+    if plan.start == "auto" and plan.anchor is None and plan.flow not in starts.WITHOUT_START:
         files = yield from _second_pass(plan, find, files)
     return files
 

@@ -14,6 +14,7 @@ import numpy as np
 
 from morphspace.cache import work_folder
 from morphspace.errors import BadInput, MorphspaceError, UnreadableFile
+from morphspace.face.anchor import was_held
 from morphspace.face.detector import Detector, Person, how_to_get_networks, person_of
 from morphspace.flow import methods
 from morphspace.io.clips import VIDEO_SUFFIXES, Clip, open_clip
@@ -282,9 +283,9 @@ def _found_lines(build: Build) -> tuple[str, ...]:
             keypoints += (
                 " as marked, landmarks not learned: `morphspace keypoints MODEL --auto` sets and learns both"
             )
-        lines += (
-            f"face found in {int(build.faces_found.sum())} of {len(build.faces_found)} frames; keypoints {keypoints}",
-        )
+        found, frames = int(build.faces_found.sum()), len(build.faces_found)
+        held = "the flow is held to it" if was_held(build.model.provenance) else "the flow is not held to it"
+        lines += (f"face found in {found} of {frames} frames, {held}; keypoints {keypoints}",)
     return lines
 
 

@@ -43,10 +43,10 @@ class BuildModelRequest:
         ),
     ] = None
     landmarks: Annotated[
-        Literal["auto", "anchor", "none"],
+        Literal["auto", "none"],
         Help(
-            "Whether the face is detected in every frame, for registration, mask and keypoints; auto does so if "
-            "`morphspace models fetch` has been run; anchor also holds the flow to the landmarks."
+            "Whether the face is detected in every frame, for registration, mask and keypoints, and to hold the flow "
+            "to lips, lids and brows; auto does so if `morphspace models fetch` has been run."
         ),
     ] = "auto"
     mask: Annotated[Path | None, Help("Grey picture of the reference's size, white on the face.")] = None

@@ -90,7 +90,7 @@ def test_without_the_detectors_files_a_build_says_in_one_line_how_to_get_better(
     (note,) = notes
     assert "morphspace models fetch" in note and "\n" not in note
     assert detector_for("none") == (None, ())
-    with pytest.raises(BadInput, match=r"landmarks is 'yes'; expected one of auto, anchor, none"):
+    with pytest.raises(BadInput, match=r"landmarks is 'yes'; expected one of auto, none"):
         detector_for("yes")
 
 

@@ -5,7 +5,7 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 from morphspace.face.expression import (
-    SLIGHTLY_OPEN,
+    PARTED,
     distance_from_neutral,
     expression_of,
     lid_opening,
@@ -33,7 +33,7 @@ UPPER_LIDS, LOWER_LIDS = (160, 159, 158, 385, 386, 387), (144, 145, 153, 380, 37
 MOVEMENT = np.array([[0.98, -0.17, 12.0], [0.17, 0.98, -4.0]])  # a similarity: turn of 10 degrees and a shift
 
 
-def face(gap=SLIGHTLY_OPEN, raised=()):
+def face(gap=PARTED, raised=()):
     """A face with the lips `gap` eye distances apart; the points `raised` stand 6 px higher."""
     points = np.random.default_rng(2).uniform((25, 30), (75, 85), (POINT_COUNT, 2))
     for lids, x in ((RIGHT_LIDS, 35.0), (LEFT_LIDS, 35.0 + EYES_PX)):
@@ -89,6 +89,13 @@ def test_calm_faces_with_the_lips_slightly_apart_are_nearest_to_rest():
     assert (far[[5, 7]] > 1).all() and far[8] > 0.5
 
 
+def test_lips_that_are_closed_count_twice_as_much_as_lips_as_far_open():
+    """CLOSED_STEP, OPEN_STEP: 0.04 and 0.08 eye distances; a warp opens no closed lips."""
+    calm = [face(PARTED) for _ in range(9)]
+    closer, wider = distance_from_neutral([*calm, face(PARTED - 0.1), face(PARTED + 0.1)])[-2:]
+    assert 2.5 < closer < 2.6 and 1.25 < wider < 1.45
+
+
 def test_a_blink_is_distance_from_neutral_and_wide_open_eyes_less():
     def eyed(gap):
         one = face()
@@ -101,7 +108,7 @@ def test_a_blink_is_distance_from_neutral_and_wide_open_eyes_less():
 
 
 def test_where_the_head_is_does_not_count_for_rest():
-    faces = [face(gap) for gap in (0.02, 0.07, 0.3, 0.07)]
+    faces = [face(gap) for gap in (0.02, 0.15, 0.4, 0.15)]
     turned = [faces[0], moved(faces[1], MOVEMENT), faces[2], moved(faces[3], MOVEMENT)]
     assert_allclose(distance_from_neutral(turned), distance_from_neutral(faces), atol=1e-6)
 

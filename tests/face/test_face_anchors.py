@@ -88,9 +88,9 @@ def figures(drawn_anna):
 
 
 EXPECTED = {
-    "closed mouth": 0.5788,  # steps; expression.SLIGHTLY_OPEN: 1.92, 15.5; OPEN_STEP: 2.78; SHAPE_STEP: 5.11, 0.28
-    "closed lids": 3.505,  # expression.LID_STEP: 34.4, 0.763; LID_PAIRS: 3.61, 2.82
-    "smile": 6.464,  # expression.OPEN_STEP x 10: 1.44
+    "closed mouth": 1.8,  # steps; expression.PARTED: 0.969, 35.5; CLOSED_STEP: 17.3, 0.539; SHAPE_STEP: 5.39
+    "closed lids": 3.898,  # expression.LID_STEP: 34.4, 1.87; LID_PAIRS: 3.61, 2.82
+    "smile": 2.522,  # expression.OPEN_STEP: 21.7, 1.31
     "lids": 3.966,  # px; expression.LID_PAIRS: 4.09, 3.16
     "spline misses": 134.5,  # px / 1000; anchor.STEP_PX, STEP_SHARE x 10, ONE_PLACE_PX
     "spline at the edge": 0.8059,  # px / 1000; anchor.MARGIN 1
@@ -148,7 +148,7 @@ def test_the_usual_mask_is_kept_unless_the_face_lies_aside(drawn_anna):
     """OVERLAP, of both ellipses: 0.5 and 0.7 are reached 15 and 7 px aside."""
     face = drawn_anna.points()
     kept = [
-        regions.place_of_mask(face.moved(np.add(face.points, (aside, 0))), HEIGHT, WIDTH, regions.OVERLAP)
+        regions.place_of_mask(face.moved(np.add(face.points, (aside, 0))), HEIGHT, WIDTH)
         for aside in (11, 12)
     ]
     assert kept[0] is None and kept[1] is not None

@@ -103,11 +103,11 @@ def test_a_build_takes_mask_rigid_part_and_keypoints_from_the_face(clip, tmp_pat
 
 def test_the_usual_mask_stays_where_it_lies_on_the_face():
     face = FacePoints(neutral_points(), 0.9)
-    assert regions.place_of_mask(face, HEIGHT, WIDTH, 0.3) is None
+    assert regions.place_of_mask(face, HEIGHT, WIDTH) is None
     beside = FacePoints(neutral_points() / 3, 0.9)  # small, in a corner
-    found = regions.place_of_mask(beside, HEIGHT, WIDTH, 0.3)
+    found = regions.place_of_mask(beside, HEIGHT, WIDTH)
     assert found is not None and found.points.tolist() == beside.faceframe().points.tolist()
-    assert regions.place_of_mask(None, HEIGHT, WIDTH, 0.3) is None
+    assert regions.place_of_mask(None, HEIGHT, WIDTH) is None
 
 
 def test_a_frame_without_a_face_goes_without_and_is_counted(clip, tmp_path):

@@ -1,4 +1,4 @@
-"""Detect a face and its points in an image, offline, with MediaPipe's three networks.
+"""Detect a face and its points in an image, offline, with MediaPipe's networks.
 
 `morphspace models fetch` installs the networks once; nothing else here uses the internet. `models` names the files,
 `fetch` installs them, `detect` runs them.

@@ -45,11 +45,11 @@ from morphspace.face.mesh import (
     FacePoints,
 )
 
-Landmarks = Literal["auto", "anchor", "none"]
-"""`auto`: the face is detected in every frame if the networks are installed. `anchor`: it needs the networks, and the
-flow is anchored to the points. `none`: no detection."""
+Landmarks = Literal["auto", "none"]
+"""`auto`: if the networks are installed, the face of every frame holds the flow. `none`: no detection."""
 WITHOUT_POINTS = (
-    "built without face points: rigid part and mask are those of a cropped face, and the model has no keypoints. Run "
+    "built without face points: the flow is not held to them, rigid part and mask are those of a cropped face, and the "
+    "model has no keypoints. Run "
     "`morphspace models fetch` once, or give --landmarks none to build without"
 )
 DETECTION_VERSION = 2  # increase it when the detector returns other points from the same networks
@@ -188,15 +188,12 @@ def detector_for(landmarks: str, person: Person = "largest") -> tuple[Detector |
     ------
     BadInput
         If `landmarks` is none of `Landmarks`.
-    MissingModels
-        If it is "anchor" and a network is missing.
     """
     if landmarks not in get_args(Landmarks):
         raise BadInput(f"landmarks is {landmarks!r}; expected one of {', '.join(get_args(Landmarks))}")
     if landmarks == "none":
         return None, ()
-    needed = landmarks == "anchor" or models_present()
-    detector = load_detector(person=person) if needed else None
+    detector = load_detector(person=person) if models_present() else None
     return detector, () if detector is not None else (WITHOUT_POINTS,)
 
 
