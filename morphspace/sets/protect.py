@@ -29,6 +29,7 @@ from morphspace.storage import MARK_NAME, digest_of_file, is_container_or_nothin
 
 SIDECAR_START = '{\n  "consent": '  # keys are sorted, and this key comes first in every sidecar
 MODEL_SUFFIX = ".morph"
+FILE_SUFFIXES = (*IMAGE_SUFFIXES, *VIDEO_SUFFIXES, ".gif")
 SYSTEM_FILES = ("thumbs.db", "desktop.ini")  # written by file managers, like all names that begin with a dot
 PAGE_FOOTER = b"<footer>Written by morphspace."
 END_BYTES = 4096  # bytes at the end of a page that hold its footer
@@ -79,7 +80,10 @@ def writing(output: Output) -> Iterator[None]:
 
 def _check_no_clip(output: Output) -> None:
     """Check that an output folder is no clip and holds no pictures of others, with which new ones would be mixed."""
-    if not output.is_folder or not output.folder.is_dir():
+    if not output.is_folder:
+        return
+    if not output.folder.is_dir():
+        _check_name_of_folder(output.folder)
         return
     check_apart(output.folder, [path for path in output.inputs if path.suffix.lower() in IMAGE_SUFFIXES])
     sidecar = output.folder / SIDECAR_NAME  # a stimulus may be called clip
@@ -95,6 +99,15 @@ def _check_no_clip(output: Output) -> None:
                 f"the output folder {output.folder} holds pictures that are no stimuli, such as {path.name}; they "
                 "would be mixed. Choose another output folder"
             )
+
+
+def _check_name_of_folder(folder: Path) -> None:
+    """Check that the name of a new folder is none of a picture or a video, which the user expects then."""
+    if folder.suffix.lower() in FILE_SUFFIXES:
+        raise BadInput(
+            f"the output {folder} is a folder, but its name ends in {folder.suffix}; expected a name without. Choose "
+            f"another, such as {folder.with_suffix('')}"
+        )
 
 
 def _there(output: Output) -> Iterator[Path]:

@@ -113,6 +113,17 @@ def test_a_set_is_not_written_into_a_clip_or_among_pictures(tmp_path):
     assert set(bytes_of(tmp_path)) == {"photo.jpg"}
 
 
+@pytest.mark.parametrize("name", ["faces.mp4", "face.PNG", "faces.gif"])
+def test_a_folder_is_not_named_like_a_picture_or_video(tmp_path, name):
+    """`place -o faces.mp4` made a folder of this name, where a video was expected."""
+    with pytest.raises(
+        BadInput, match=rf"{name} is a folder, but its name ends in .*; expected a name without"
+    ):
+        complete(folder_output(tmp_path / name))
+    assert not list(tmp_path.iterdir())
+    complete(folder_output(tmp_path / "faces.v2"))
+
+
 def test_a_table_of_another_person_and_one_of_a_set_are_refused(tmp_path):
     path = tmp_path / "a.csv"
     write_loadings_table(path, np.ones((1, 1)), ["f"], {"identity": "anna"})
