@@ -103,7 +103,7 @@ def _check_no_clip(output: Output) -> None:
 
 def _check_name_of_folder(folder: Path) -> None:
     """Check that the name of a new folder is none of a picture or a video, which the user expects then."""
-    if folder.suffix.lower() in FILE_SUFFIXES:
+    if folder.suffix.lower() in FILE_SUFFIXES and not folder.exists():
         raise BadInput(
             f"the output {folder} is a folder, but its name ends in {folder.suffix}; expected a name without. Choose "
             f"another, such as {folder.with_suffix('')}"
