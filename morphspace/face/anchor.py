@@ -62,6 +62,7 @@ MARGIN = 4  # such points beyond each edge, for the end effects of the interpola
 # as a pixel is far from the face: hair and shoulders have movements of their own.
 MOST_BEYOND = 0.1
 HELD_AROUND = 0.08  # eye distances from lips and lids, over which the flow fades in
+AROUND_FACE = 2.0  # eye distances outside the face, over which the spline fades out
 TINY = 1e-6  # no movement, against a division by zero
 ONE_PLACE_PX = 1.0  # px; nearer points are merged, such as those of closed lips
 
@@ -94,14 +95,18 @@ class FaceAnchor:
         eyes_px = self.face.interocular_px
         lips_and_lids = (OUTER_LIPS, RIGHT_LIDS, LEFT_LIDS)
         free = np.minimum(_distance_px(self.face, lips_and_lids, height, width) / (HELD_AROUND * eyes_px), 1)
-        most_px = MOST_BEYOND * eyes_px + _distance_px(self.face, (FACE_OUTLINE,), height, width)
+        outside_px = _distance_px(self.face, (FACE_OUTLINE,), height, width)
+        most_px = MOST_BEYOND * eyes_px + outside_px
+        near = np.maximum(1 - outside_px / (AROUND_FACE * eyes_px), 0)[..., None].astype(np.float32)
         detector = self.detector_of_aligned or self.detector
 
         def to_frame(frame: Image, start: Displacement | None = None) -> Flow:
             found = detector(frame)
             if found is None:
                 return find(frame, start)
-            spline = unfolded(through(found.points[list(HELD)]))  # points of a turned head may change sides
+            spline = unfolded(
+                near * through(found.points[list(HELD)])
+            )  # points of a turned head may change sides
             rest = find(warp.sample(frame, spline), None)
             length = np.maximum(np.hypot(*cv2.split(rest.displacement)) / most_px, TINY)
             beyond = rest.displacement * (free * np.tanh(length) / length)[..., None].astype(np.float32)
