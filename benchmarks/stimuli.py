@@ -144,7 +144,7 @@ def _reader(model: MorphModel, gain: float) -> Callable[[tuple[Path, np.ndarray]
         file, drawn = item
         image = read_image(file.with_name(f"{file.name}.png"))
         own = Frame(image, file.name, identity_affine())
-        encoded = model.fit(own, model.morph_of(image, flow)).values[0]
+        encoded = model.fit(own, model.project(model.morph_of(image, flow))).values[0]
         aligned = model.encode(image, name=file.name).values[0]
         to_the_end = fitter.fit(image, gain * drawn, steps=LONG)
         return np.stack([encoded, aligned, to_the_end]) / model.sd

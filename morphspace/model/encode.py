@@ -204,7 +204,9 @@ def encoded_frames(
     """Encode each frame of a clip, in order, a few at a time.
 
     Stimuli that the model itself rendered lie on its reference and are not aligned: registration would take a strong
-    expression for head movement. `own` marks them; None looks them up with `drawn_by`.
+    expression for head movement. `own` marks them; None looks them up with `drawn_by`. The loadings of
+    frames that the model was built from (`rows_of_build`) are refined from those of the build, whose flow started from
+    neighbouring frames.
 
     Examples
     --------
@@ -217,15 +219,42 @@ def encoded_frames(
     model = model.for_person(source.person)
     flow = model.flow_from_reference  # prepared once, before the threads start
     own = drawn_by(model, source) if own is None else own
+    rows = rows_of_build(model, source)
 
-    def encode(item: tuple[str, Image, bool]) -> EncodedFrame:
-        name, image, is_own = item
+    def encode(item: tuple[str, Image, bool, int | None]) -> EncodedFrame:
+        name, image, is_own, row = item
         frame = Frame(image, name, identity_affine()) if is_own else model.align(image, name)
         morph = model.morph_of(frame.image, flow)
-        return EncodedFrame(frame, morph, model.fit(frame, morph))
+        start = model.project(morph) if row is None else model.training.values[row]
+        return EncodedFrame(frame, morph, model.fit(frame, start))
 
     indices = list(range(len(source.names)))
-    yield from in_order(encode, zip(source.names, source.images(indices), own, strict=True))
+    yield from in_order(encode, zip(source.names, source.images(indices), own, rows, strict=True))
+
+
+def rows_of_build(model: MorphModel, source: FramedClip) -> tuple[int | None, ...]:
+    """Return the training row of each frame that the model was built from, None for each other frame.
+
+    Such a frame has the same file, or the same place in the same video, the same framing, and no other person chosen.
+
+    Examples
+    --------
+    >>> import morphspace as ms
+    >>> model = ms.load("anna.morph")
+    >>> rows_of_build(model, framed_for(model, ("anna",), None))[:3]
+    (0, 1, 2)
+    """
+    inputs, built, framing = model.provenance.get("inputs"), model.provenance.get("framing"), source.framing
+    crop = None if framing.crop is None else list(framing.crop)
+    alike = {"source_size": list(framing.source_size), "size": list(framing.size), "crop": crop}
+    if not inputs or not built or source.person is not None or {**built, **alike} != built:
+        return (None,) * len(source.names)
+    places = {name: row for row, name in enumerate(model.training.frame_names) if name in inputs}
+    by_digest = {inputs[name]: row for name, row in reversed(places.items())}
+    return tuple(
+        places[name] if name in places and inputs[name] == digest else by_digest.get(digest)
+        for name, digest in zip(source.names, source.file_digests, strict=True)
+    )
 
 
 def drawn_by(model: MorphModel, source: FramedClip) -> tuple[bool, ...]:

@@ -306,11 +306,11 @@ class MorphModel:
 
     def encode_aligned(self, frame: Frame) -> Loadings:
         """Encode a frame that is aligned already: one row of raw loadings."""
-        return self.fit(frame, self.morph_of(frame.image))
+        return self.fit(frame, self.project(self.morph_of(frame.image)))
 
-    def fit(self, frame: Frame, morph: Morph) -> Loadings:
-        """Project the morph of an aligned frame and refine the loadings with `fit.Fitter`: one row of raw loadings."""
-        fitted = self._fitter.fit(frame.image, self.project(morph))
+    def fit(self, frame: Frame, start: LoadingVector) -> Loadings:
+        """Refine raw loadings (k,) on an aligned frame with `fit.Fitter`: one row of raw loadings."""
+        fitted = self._fitter.fit(frame.image, start)
         return Loadings(fitted[None], (frame.name,), self.model_id)
 
     @cached_property

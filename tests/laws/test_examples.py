@@ -12,6 +12,7 @@ from pathlib import Path
 import pytest
 
 import morphspace as ms
+from morphspace.storage import digest_of_file
 
 PACKAGE = Path(__file__).parents[2] / "morphspace"
 WITH_EXAMPLES = sorted(
@@ -29,13 +30,16 @@ def people(model, tmp_path_factory):
     """A folder with anna.morph, ben.morph and the clip anna."""
     folder = tmp_path_factory.mktemp("people")
     framing = {"source_size": [60, 72], "crop": None, "size": [60, 72]}
+    inputs = {}
+    for name, row in zip(model.training.frame_names, model.training.values, strict=True):
+        ms.write_image(folder / "anna" / f"{name}.png", model.render(row))
+        inputs[name] = digest_of_file(folder / "anna" / f"{name}.png")
     for name, x in (("anna", 20.0), ("ben", 18.0)):
-        person = replace(model, provenance={**model.provenance, "identity": name, "framing": framing})
+        origin = {"identity": name, "framing": framing, "inputs": inputs}
+        person = replace(model, provenance={**model.provenance, **origin})
         person.with_faceframe(ms.FaceFrame((x, 30.0), (44.0, 30.0), (32.0, 50.0))).save(
             folder / f"{name}.morph"
         )
-    for name, row in zip(model.training.frame_names, model.training.values, strict=True):
-        ms.write_image(folder / "anna" / f"{name}.png", model.render(row))
     return folder
 
 
