@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 
@@ -11,7 +12,9 @@ from morphspace.arrays import Image, LoadingVector
 from morphspace.errors import BadInput
 from morphspace.face.faceframe import Frame, identity_affine
 from morphspace.io.clips import open_clip
+from morphspace.io.flow_fields import write_flows
 from morphspace.io.framing import MIN_SIDE_PX, FramedClip, Framing, check_person
+from morphspace.io.images import picture_names, write_image
 from morphspace.io.stimulus_sidecars import essentials_in
 from morphspace.model.loadings import Loadings
 from morphspace.model.model import MorphModel
@@ -298,3 +301,40 @@ def joined(model: MorphModel, parts: list[Loadings]) -> Loadings:
     """
     values = np.concatenate([part.values for part in parts]) if parts else np.zeros((0, model.rank))
     return Loadings(values, tuple(name for part in parts for name in part.frame_names), model.model_id)
+
+
+def morph_files(folder: Path, names: Sequence[str]) -> list[tuple[Path, Path]]:
+    """Return the files of each frame's texture (.exr) and warp (.flo) in a folder.
+
+    Raises
+    ------
+    BadInput
+        As `picture_names`.
+
+    Examples
+    --------
+    >>> [(texture.name, field.name) for texture, field in morph_files(Path("morphs"), ["smile/0001"])]
+    [('smile_0001.exr', 'smile_0001.flo')]
+    """
+    stems = [name.removesuffix(".png") for name in picture_names(names)]
+    return [(folder / f"{stem}.exr", folder / f"{stem}.flo") for stem in stems]
+
+
+def write_morph(morph: Morph, texture: Path, field: Path) -> None:
+    """Write a morph's texture as `.exr`, in linear light, and its warp as `.flo`, px, both on the mean face's grid.
+
+    Raises
+    ------
+    UnwritableFile
+        If the folder or disk refuses a file.
+
+    Examples
+    --------
+    >>> import morphspace as ms
+    >>> from morphspace.io.flow_fields import read_flow
+    >>> write_morph(ms.load("anna.morph").mean, Path("mean.exr"), Path("mean.flo"))
+    >>> read_flow("mean.flo").displacement.shape
+    (72, 60, 2)
+    """
+    write_image(texture, morph.texture)
+    write_flows({field: (morph.displacement, np.ones(morph.shape, np.float32))})

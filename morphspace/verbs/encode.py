@@ -24,10 +24,20 @@ class EncodeRequest:
     sources: Clip
     output: Annotated[Path, Option("-o", "--output"), Help("The loadings table (.csv).")]
     crop: FrameCrop = None
+    morphs: Annotated[
+        Path | None,
+        Option(metavar="DIR"),
+        Help(
+            "Also write each frame's morph on the mean face's grid: texture (.exr, linear light) and warp (.flo, px)."
+        ),
+    ] = None
 
 
 def run(request: EncodeRequest) -> Steps[Outcome]:
-    """Encode the images; write the table and its sidecar."""
+    """Encode the images; write the table and its sidecar, and the morphs."""
+    import contextlib
+    from itertools import chain
+
     import numpy as np
 
     from morphspace.model.encode import (
@@ -35,14 +45,17 @@ def run(request: EncodeRequest) -> Steps[Outcome]:
         encoded_frames,
         framed_for,
         joined,
+        morph_files,
         notes_on_frames,
         notes_on_own,
+        write_morph,
     )
     from morphspace.model.model import load_model
-    from morphspace.outcome import Outcome
+    from morphspace.outcome import RECORD_NAME, Outcome, write_record
     from morphspace.sets.outputs import Output, check_file
     from morphspace.sets.protect import writing
     from morphspace.steps import Step
+    from morphspace.storage import digest_of_file
 
     model = load_model(request.model)
     source = framed_for(model, request.sources, request.crop, clip_options(request))
@@ -51,18 +64,24 @@ def run(request: EncodeRequest) -> Steps[Outcome]:
     parts: list[Loadings] = []
     own = drawn_by(model, source)
     inputs = dict(zip(source.names, source.file_digests, strict=True))
-    with writing(
-        Output(
-            "encode",
-            request.output,
-            (request.output, sidecar),
-            inputs=source.clip.paths,
-            identity=model.identity,
-        )
-    ):
-        for encoded in encoded_frames(model, source, own):
+    table = (request.output, sidecar)
+    outputs = [Output("encode", request.output, table, inputs=source.clip.paths, identity=model.identity)]
+    pairs: list[tuple[Path, Path]] = []
+    if request.morphs is not None:
+        pairs = morph_files(request.morphs, source.names)
+        files = [*chain(*pairs), request.morphs / RECORD_NAME]
+        outputs.append(Output("encode", request.morphs, files, inputs=source.clip.paths))
+    with contextlib.ExitStack() as guards:
+        for output in outputs:
+            guards.enter_context(writing(output))
+        for place, encoded in enumerate(encoded_frames(model, source, own)):
             parts.append(encoded.loadings)
+            if pairs:
+                write_morph(encoded.morph, *pairs[place])
             yield Step("encode", len(parts), len(source.names))
+        if request.morphs is not None:
+            digests = {"model": digest_of_file(request.model), **inputs}
+            write_record(request.morphs, "encode", {"crop": request.crop}, digests, chain(*pairs))
         loadings = joined(model, parts)
         rate_hz, times_s = source.clip.sidecar.frame_rate_hz, source.clip.times_s
         written = write_loadings(
@@ -81,7 +100,7 @@ def run(request: EncodeRequest) -> Steps[Outcome]:
     }
     notes = notes_on_frames(source, model.identity)
     notes += notes_on_own(own)
-    return Outcome(lines, document, notes, written)
+    return Outcome(lines, document, notes, (*written, *chain(*pairs)))
 
 
 def write_loadings(
