@@ -98,6 +98,9 @@ SECTIONS: dict[str, Section] = {
     "carried": Section(
         "What the warp carries", lambda run: carried.carried(run.data, run.work, run.face_judge), (DATA, FACE)
     ),
+    "carried-drawn": Section(
+        "What the warp carries: drawn actors", lambda run: carried.carried_drawn(run.work)
+    ),
     "detection": Section(
         "Face points, against MediaPipe's own",
         lambda run: detection.detection(run.data, run.work, run.mesh_judge),
