@@ -7,6 +7,7 @@ their scores instead of dropped, which removes most of the jitter (Bazarevsky et
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cache
 from typing import Literal
 
 import numpy as np
@@ -55,6 +56,7 @@ class FaceBox:
         return float(np.prod(np.maximum(self.corners[1] - self.corners[0], 0)))
 
 
+@cache
 def _anchors(side: int = SIDE) -> Points:
     """Return the centres (896, 2) of a network's anchors, px from the edge of its input of `side` px, row by row."""
     found = []

@@ -208,15 +208,14 @@ def _find_face(pool: NetworkPool, person: Person, image: Image) -> FacePoints | 
         faces = boxes.in_order_of(person, _find_boxes(networks, image))
         if not faces:
             return None
-        # A box without a mesh shows no face; the next may.
-        meshes = ((face, _find_mesh(networks.mesh, image, _crop_of_box(face))) for face in faces)
-        face, meshed = next(((face, mesh) for face, mesh in meshes if mesh is not None), (faces[0], None))
+        face, *others = faces
+        meshed = _find_mesh(networks.mesh, image, _crop_of_box(face))
         if meshed is None:
             return None
         points, depth = _with_irises(networks.iris, image, *meshed)
     if not (np.isfinite(points).all() and np.isfinite(depth).all()):
         return None
-    middles = np.array([other.middle for other in faces if other is not face]).reshape(-1, 2)
+    middles = np.array([other.middle for other in others]).reshape(-1, 2)
     return FacePoints(points, face.score, depth=depth, others=middles)
 
 
