@@ -59,7 +59,7 @@ def round_trip(data: Path, clips: tuple[str, ...], work: Path) -> None:
 
 
 def _round_trip_of(model: MorphModel, frame: Frame) -> tuple[float, float, float]:
-    morph = model.morph_of(frame.image)
+    morph = model.morph_of(frame)
     fixed = warp.sample(morph.texture, fixed_point_inverse(morph.displacement))
     return (
         psnr_db(morph.render(), frame.image, model.mask),
@@ -180,7 +180,7 @@ def _held_out_scores(one: Trial) -> dict[int, np.ndarray]:
     for number, index in enumerate(one.held_out):
         tell(f"{one.name}: held-out frame {number + 1} of {len(one.held_out)}")
         frame = one.frames[index]
-        morph = one.model.morph_of(frame.image)
+        morph = one.model.morph_of(frame)
         for k, model in models.items():
             images = [pixel.reconstruct(frame.image, k), *reconstructions(model, frame, morph)]
             scores[k].append([psnr_db(image, frame.image, model.mask) for image in images])

@@ -63,7 +63,7 @@ def mimicry_speed(data: Path, work: Path, rounds: int) -> None:
     flow = source.flow_from_reference
     look = (lambda image: None) if source.anchor is None else source.anchor.detector
     found = look(picture)
-    aligned = source.align(picture, name, found).image
+    aligned = source.align(picture, name, found)
     offset = driver.offset(name, picture, found)
     read = source.basis.inner_products()
     loadings = read.with_offset(offset.vector)
@@ -72,20 +72,20 @@ def mimicry_speed(data: Path, work: Path, rounds: int) -> None:
         taken = driver.offset(name, picture, seen)
         read.with_offset(taken.vector)
 
-    field = flow(aligned, None).displacement
+    field = flow(aligned).displacement
     x, y = warp.positions(field)
     flat = np.array(target.basis.components).reshape(-1)
     works: dict[str, Any] = {
         "look": lambda: look(picture),
-        "flow": lambda: flow(aligned, None),
+        "flow": lambda: flow(aligned),
         "align": lambda: source.align(picture, name, found),
         "align, alone": lambda: source.align(picture, name),
-        "take apart": lambda: morph_of(aligned, resource(field, source.mean_inverse), ""),
+        "take apart": lambda: morph_of(aligned.image, resource(field, source.mean_inverse), ""),
         "loadings": lambda: read.with_offset(offset.vector),
         "driving frame": lambda: driving_frame(found),
         "driving frame, alone": lambda: driving_frame(None),
         "encode": lambda: source.encode(picture),
-        "remap": lambda: cv2.remap(aligned, x, y, cv2.INTER_CUBIC),
+        "remap": lambda: cv2.remap(aligned.image, x, y, cv2.INTER_CUBIC),
         "one read": lambda: np.dot(flat, flat),
     }
     known = source.landmarks is not None and target.landmarks is not None

@@ -138,13 +138,13 @@ def _sidecar(file: Path) -> Path:
 def _reader(model: MorphModel, gain: float) -> Callable[[tuple[Path, np.ndarray]], np.ndarray]:
     """Give the function that reads a drawn face in three ways, (3, k) SD."""
     fitter = fit.Fitter(model.mean, model.basis, model.mask)
-    flow = model.flow_from_reference
+    _ = model.flow_from_reference  # prepared once
 
     def read(item: tuple[Path, np.ndarray]) -> np.ndarray:
         file, drawn = item
         image = read_image(file.with_name(f"{file.name}.png"))
         own = Frame(image, file.name, identity_affine())
-        encoded = model.fit(own, model.project(model.morph_of(image, flow))).values[0]
+        encoded = model.fit(own, model.project(model.morph_of(own))).values[0]
         aligned = model.encode(image, name=file.name).values[0]
         to_the_end = fitter.fit(image, gain * drawn, steps=LONG)
         return np.stack([encoded, aligned, to_the_end]) / model.sd

@@ -25,6 +25,7 @@ import numpy as np
 from morphspace.arrays import Affine, AnyArray, Displacement, Image, Points
 from morphspace.errors import BadInput
 from morphspace.face.detector import Detector, Person, load_detector, person_of
+from morphspace.face.faceframe import Frame
 from morphspace.face.mesh import (
     FACE_OUTLINE,
     LEFT_BROW,
@@ -69,27 +70,16 @@ ONE_PLACE_PX = 1.0  # px; nearer points are merged, such as those of closed lips
 
 @dataclass(frozen=True, eq=False)
 class FaceAnchor:
-    """The face to which frames are held: the `detector`, and the `face` that it found in the reference.
-
-    `detector_of_aligned` searches aligned frames; None for the same detector.
-    """
+    """The face to which frames are held: the `detector`, and the `face` that it found in the reference."""
 
     detector: Detector
     face: FacePoints
-    detector_of_aligned: Detector | None = None
 
-    def movement(self, image: Image, found: FacePoints | None = None) -> Affine | None:
-        """Compute the start of an image's registration, (2, 3), or None if the image shows no face.
+    def held(self, find: FlowFunction, height: int, width: int) -> Callable[[Frame], Flow]:
+        """Return a function that estimates the flow to an aligned frame, held to the face points of the frame.
 
-        `found` is the face in the image, if it has been detected already.
-        """
-        found = found or self.detector(image)
-        return None if found is None else rigid_movement(self.face, found)
-
-    def held(self, find: FlowFunction, height: int, width: int) -> FlowFunction:
-        """Return a flow function whose fields follow the face points; `find` estimates the remainder.
-
-        A frame without a detected face goes to `find` unchanged.
+        `find` estimates the remainder. It gets a frame without a face unchanged. The face is searched in a frame
+        whose points are None.
         """
         through = spline_from(self.face.points[list(HELD)], height, width)
         eyes_px = self.face.interocular_px
@@ -98,15 +88,14 @@ class FaceAnchor:
         outside_px = _distance_px(self.face, (FACE_OUTLINE,), height, width)
         most_px = MOST_BEYOND * eyes_px + outside_px
         near = np.maximum(1 - outside_px / (AROUND_FACE * eyes_px), 0)[..., None].astype(np.float32)
-        detector = self.detector_of_aligned or self.detector
 
-        def to_frame(frame: Image, start: Displacement | None = None) -> Flow:
-            found = detector(frame)
-            if found is None:
-                return find(frame, start)
+        def to_frame(frame: Frame) -> Flow:
+            points = points_of(self.detector(frame.image)) if frame.points is None else frame.points
+            if not len(points):
+                return find(frame.image, None)
             # Points of a turned head may change sides.
-            spline = unfolded(near * through(found.points[list(HELD)]))
-            rest = find(warp.sample(frame, spline), None)
+            spline = unfolded(near * through(points[list(HELD)]))
+            rest = find(warp.sample(frame.image, spline), None)
             length = np.maximum(np.hypot(*cv2.split(rest.displacement)) / most_px, TINY)
             beyond = rest.displacement * (free * np.tanh(length) / length)[..., None].astype(np.float32)
             return Flow(unfolded(warp.compose(spline, beyond)), rest.confidence)
@@ -127,6 +116,11 @@ def _distance_px(face: FacePoints, rings: Iterable[tuple[int, ...]], height: int
     return cv2.distanceTransform(outside, cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
 
 
+def points_of(found: FacePoints | None) -> Points:
+    """Return the points (478, 2) px of a detected face, (0, 2) without a face, as a `Frame` holds them."""
+    return np.zeros((0, 2)) if found is None else found.points
+
+
 def rigid_movement(reference: FacePoints, frame: FacePoints) -> Affine:
     """Fit the similarity (2, 3) from the skull's points in the reference to those in the frame, robustly."""
     rigid = list(RIGID_POINTS)
@@ -145,7 +139,7 @@ def anchor_of_build(
     """Detect again the face that a model's build found in its reference (h, w, 3).
 
     It starts the registration of every frame, and holds the flow if `was_held`. `person` is the face that is
-    searched in frames; None for the choice of the build. In an aligned frame it lies where the reference has its own.
+    searched in frames; None for the choice of the build.
 
     Returns
     -------
@@ -172,10 +166,7 @@ def anchor_of_build(
             "the detector finds no face in the reference, where the build found one. Build the model again with this "
             "morphspace"
         )
-    if person is None:
-        return anchor
-    x, y = map(float, anchor.face.points.mean(axis=0))
-    return FaceAnchor(load_detector(person=person), anchor.face, load_detector(person=(x, y)))
+    return anchor if person is None else FaceAnchor(load_detector(person=person), anchor.face)
 
 
 def was_held(provenance: Mapping[str, Any]) -> bool:

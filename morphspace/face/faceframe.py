@@ -86,15 +86,18 @@ class Frame:
     name : str
     registration : array (2, 3)
         Affine from a point of the aligned image to the frame before alignment.
+    points : array (478, 2) px, or None
+        The face points on the aligned image, (0, 2) without a face; None if the face was not searched.
     """
 
     image: Image
     name: str
     registration: Affine
+    points: Points | None = None
 
 
-def aligned(image: Image, name: str, registration: Affine) -> Frame:
-    """Align a frame with the reference: aligned(p) = image(registration p).
+def aligned(image: Image, name: str, registration: Affine, points: Points | None = None) -> Frame:
+    """Align a frame with the reference: aligned(p) = image(registration p). Its `points` move with it.
 
     Examples
     --------
@@ -104,11 +107,12 @@ def aligned(image: Image, name: str, registration: Affine) -> Frame:
     True
     """
     if np.array_equal(registration, identity_affine()):
-        return Frame(image, name, registration)
+        return Frame(image, name, registration, points)
     height, width = image.shape[:2]
-    return Frame(
-        warp.sample(image, warp.affine_displacement(registration, height, width)), name, registration
-    )
+    moved = warp.sample(image, warp.affine_displacement(registration, height, width))
+    if points is not None:
+        points = warp.apply_affine(warp.inverse_affine(registration), points)
+    return Frame(moved, name, registration, points)
 
 
 def identity_affine() -> Affine:

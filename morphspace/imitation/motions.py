@@ -261,11 +261,11 @@ def _read(
             yield encoded.loadings.values[0], energy_outside(encoded.morph - model.mean, model)
         return
     model = model.for_person(clip.person)
-    flow = model.flow_from_reference  # prepared once, and not by each thread
+    _ = model.flow_from_reference  # prepared once, and not by each thread
 
     def project(item: tuple[str, Image]) -> tuple[LoadingVector, float]:
         name, image = item
-        offset = model.morph_of(model.align(image, name).image, flow) - model.mean
+        offset = model.morph_of(model.align(image, name)) - model.mean
         return part.mean(offset.vector), energy_outside(offset, model)
 
     indices = list(range(len(clip.names)))

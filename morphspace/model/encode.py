@@ -220,14 +220,14 @@ def encoded_frames(
     'raw'
     """
     model = model.for_person(source.person)
-    flow = model.flow_from_reference  # prepared once, before the threads start
+    _ = model.flow_from_reference  # prepared once, before the threads start
     own = drawn_by(model, source) if own is None else own
     rows = rows_of_build(model, source)
 
     def encode(item: tuple[str, Image, bool, int | None]) -> EncodedFrame:
         name, image, is_own, row = item
         frame = Frame(image, name, identity_affine()) if is_own else model.align(image, name)
-        morph = model.morph_of(frame.image, flow)
+        morph = model.morph_of(frame)
         start = model.project(morph) if row is None else model.training.values[row]
         return EncodedFrame(frame, morph, model.fit(frame, start))
 

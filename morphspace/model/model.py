@@ -6,7 +6,7 @@ the training frames were. Its provenance names the input files, so that each sti
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -24,13 +24,13 @@ from morphspace.arrays import (
     read_only,
 )
 from morphspace.errors import BadInput, UnwritableFile
-from morphspace.face.anchor import FaceAnchor, anchor_of_build, was_held
+from morphspace.face.anchor import FaceAnchor, anchor_of_build, points_of, rigid_movement, was_held
 from morphspace.face.detector import MissingModels, Person
 from morphspace.face.faceframe import FaceFrame, Frame, RegistrationKind, aligned
 from morphspace.face.mesh import SCHEME, FacePoints
 from morphspace.face.regions import rigid_region
 from morphspace.face.registration import Registration
-from morphspace.flow import FlowFunction, methods
+from morphspace.flow import Flow, methods
 from morphspace.grid import warp
 from morphspace.linear.pca import Basis
 from morphspace.model import display
@@ -183,11 +183,11 @@ class MorphModel:
         return self.basis.components[:, columns].reshape(self.rank, *self.mean.shape, 2)
 
     @cached_property
-    def flow_from_reference(self) -> FlowFunction:
-        """The flow function of the build, with the reference prepared once, on first use."""
+    def flow_from_reference(self) -> Callable[[Frame], Flow]:
+        """The flow to an aligned frame as in the build, with the reference prepared once, on first use."""
         find = methods.for_morphs(self.flow)(self.reference)
         if not was_held(self.provenance) or self.anchor is None:
-            return find
+            return lambda frame: find(frame.image, None)
         return self.anchor.held(find, *self.mask.shape)
 
     @cached_property
@@ -256,20 +256,22 @@ class MorphModel:
             If the build used face points and the networks are not installed; `by_flow_alone` needs none.
         """
         self._check_size(image, name)
-        anchor = None if self.registration == "none" else self.anchor
-        start = None if anchor is None else anchor.movement(image, found)
-        return aligned(image, name, self._head.of(image, start))
+        if self.anchor is None:
+            return aligned(image, name, self._head.of(image))
+        found = found or self.anchor.detector(image)
+        start = None if found is None else rigid_movement(self.anchor.face, found)
+        return aligned(image, name, self._head.of(image, start), points_of(found))
 
-    def morph_of(self, image: Image, flow: FlowFunction | None = None) -> Morph:
-        """Vectorise an aligned picture (h, w, 3): flow from the reference, carried to the mean face, then the texture.
+    def morph_of(self, frame: Frame) -> Morph:
+        """Vectorise an aligned frame: flow from the reference, carried to the mean face, then the texture.
 
         References
         ----------
         Nagle et al., section 2.
         """
-        self._check_size(image, "image")
-        field = (flow or self.flow_from_reference)(image, None).displacement
-        return morph_of(image, resource(field, self.mean_inverse), self.mean.reference_id)
+        self._check_size(frame.image, frame.name)
+        field = self.flow_from_reference(frame).displacement
+        return morph_of(frame.image, resource(field, self.mean_inverse), self.mean.reference_id)
 
     def project(self, morph: Morph) -> LoadingVector:
         """Project a morph: inner products of its offset from the mean with the components, raw loadings (k,).
@@ -306,7 +308,7 @@ class MorphModel:
 
     def encode_aligned(self, frame: Frame) -> Loadings:
         """Encode a frame that is aligned already: one row of raw loadings."""
-        return self.fit(frame, self.project(self.morph_of(frame.image)))
+        return self.fit(frame, self.project(self.morph_of(frame)))
 
     def fit(self, frame: Frame, start: LoadingVector) -> Loadings:
         """Refine raw loadings (k,) on an aligned frame with `fit.Fitter`: one row of raw loadings."""

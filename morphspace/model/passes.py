@@ -17,7 +17,7 @@ import numpy as np
 from morphspace.arrays import Affine, AnyArray, Displacement, Image, LoadingTable, Mask
 from morphspace.errors import BadInput
 from morphspace.face import regions
-from morphspace.face.anchor import FaceAnchor, rigid_movement
+from morphspace.face.anchor import FaceAnchor
 from morphspace.face.crop import check_one_person, several_notes
 from morphspace.face.detector import Detector
 from morphspace.face.faceframe import FaceFrame, Frame, RegistrationKind
@@ -184,8 +184,7 @@ def build_steps(
     choice = yield from _reference_pass(source, settings, survey)
     face = survey.found[choice.index]
     plan, on_reference = _plan(source, settings, choice, face)
-    movements = [_movement(face, one) for one in survey.found]
-    files = yield from frame_steps(source, plan, work_folder, movements)
+    files = yield from frame_steps(source, plan, work_folder, survey.found)
     shape = _mean_shape(settings, plan, on_reference, files)
     with temporary_rows(work_folder, len(files), CHANNELS * plan.mask.size) as rows:
         measured = yield from _morph_pass(rows, files, shape)
@@ -303,11 +302,6 @@ def _plan(
         anchor=FaceAnchor(settings.detector, face) if settings.detector and face else None,
     )
     return plan, on_reference
-
-
-def _movement(reference: FacePoints | None, frame: FacePoints | None) -> Affine | None:
-    """Compute the start of a frame's registration, (2, 3); None if one of the faces is unknown."""
-    return None if reference is None or frame is None else rigid_movement(reference, frame)
 
 
 def _landmarks_document(

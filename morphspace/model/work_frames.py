@@ -19,10 +19,11 @@ from typing import Any, Literal
 import cv2
 import numpy as np
 
-from morphspace.arrays import Affine, AnyArray, Image, Mask
+from morphspace.arrays import AnyArray, Image, Mask
 from morphspace.cache import is_finished, read_result, result_file, write_result
-from morphspace.face.anchor import FaceAnchor
+from morphspace.face.anchor import FaceAnchor, points_of, rigid_movement
 from morphspace.face.faceframe import Frame, RegistrationKind, aligned, identity_affine
+from morphspace.face.mesh import FacePoints
 from morphspace.face.registration import Registration
 from morphspace.flow import Flow, FlowFunction, methods, starts
 from morphspace.flow.starts import StartKind
@@ -31,7 +32,7 @@ from morphspace.io.framing import FrameSource, same_size
 from morphspace.steps import Step, Steps, in_order
 from morphspace.storage import digest_of_array
 
-FRAME_FORMAT = "morphspace-work-frame-3"
+FRAME_FORMAT = "morphspace-work-frame-4"
 FLOW_VERSION = 9  # increase it when a flow method changes its field: old results are then not reused
 
 FrameStart = Literal["coarse to fine", "neighbour"]
@@ -82,7 +83,7 @@ def frame_steps(
     source: FrameSource,
     plan: FramePlan,
     work_folder: Path,
-    movements: Sequence[Affine | None] | None = None,
+    faces: Sequence[FacePoints | None] | None = None,
 ) -> Steps[list[Path]]:
     """Register each frame and estimate its flow, or find both in the work folder; a generator of steps.
 
@@ -92,8 +93,8 @@ def frame_steps(
         n frames.
     plan : FramePlan
     work_folder : Path
-    movements : sequence of n arrays (2, 3), optional
-        Starts of the registrations; None for an unknown one.
+    faces : sequence of n FacePoints, optional
+        The face in each frame, None without one. With an anchor they start the registrations and hold the flows.
 
     Returns
     -------
@@ -106,10 +107,7 @@ def frame_steps(
         If a frame and the reference differ in size.
     """
     find = methods.for_morphs(plan.flow)(plan.reference)
-    if plan.anchor is not None:
-        find = plan.anchor.held(find, *plan.mask.shape)
-    starting = [None] * len(source.names) if movements is None else list(movements)
-    files = yield from _first_pass(source, plan, find, work_folder, starting)
+    files = yield from _first_pass(source, plan, find, work_folder, faces or [None] * len(source.names))
     if plan.start == "auto" and plan.anchor is None and plan.flow not in starts.WITHOUT_START:
         files = yield from _second_pass(plan, find, files)
     return files
@@ -120,29 +118,34 @@ def _first_pass(
     plan: FramePlan,
     find: FlowFunction,
     work_folder: Path,
-    movements: Sequence[Affine | None],
+    faces: Sequence[FacePoints | None],
 ) -> Steps[list[Path]]:
     """Register each frame and estimate its flow from coarse to fine."""
     common: list[Any] = [FRAME_FORMAT, FLOW_VERSION, plan.flow, plan.registration, cv2.__version__]
     common += [digest_of_array(array) for array in (plan.reference, plan.region, plan.mask)]
+    held = None
     if plan.anchor is not None:
         common.append(plan.anchor.identity)
+        held = plan.anchor.held(find, *plan.mask.shape)
+    points = [None if plan.anchor is None else points_of(face) for face in faces]
     files = [
-        result_file(work_folder, *common, digest, *([] if movement is None else [digest_of_array(movement)]))
-        for digest, movement in zip(source.digests, movements, strict=True)
+        result_file(work_folder, *common, digest, *([] if known is None else [digest_of_array(known)]))
+        for digest, known in zip(source.digests, points, strict=True)
     ]
     missing = [index for index, file in enumerate(files) if not is_finished(file)]
     head = Registration(plan.reference, plan.registration, plan.region)
 
     def make(item: tuple[int, Image]) -> None:
         index, image = item
+        face = faces[index]
         if index == plan.reference_index:
             height, width = image.shape[:2]
-            frame = Frame(image, "", identity_affine())
+            frame = Frame(image, "", identity_affine(), points[index])
             flow = Flow(np.zeros((height, width, 2), np.float32), np.ones((height, width), np.float32))
         else:
-            frame = aligned(image, "", head.of(image, movements[index]))
-            flow = find(frame.image, None)
+            start = None if plan.anchor is None or face is None else rigid_movement(plan.anchor.face, face)
+            frame = aligned(image, "", head.of(image, start), points[index])
+            flow = find(frame.image, None) if held is None else held(frame)
         _write(files[index], plan, frame, flow, "coarse to fine")
 
     finished = len(files) - len(missing)
@@ -195,7 +198,8 @@ def _second_pass(plan: FramePlan, find: FlowFunction, files: list[Path]) -> Step
 def read_work_frame(file: Path, name: str = "") -> WorkFrame:
     """Read a frame from its file, under the name `name`. Raises `UnreadableFile`."""
     arrays, document = read_result(file)
-    frame = Frame(np.array(arrays["image"]), name, np.array(arrays["registration"]))
+    points = np.array(arrays["points"]) if "points" in arrays else None
+    frame = Frame(np.array(arrays["image"]), name, np.array(arrays["registration"]), points)
     flow = Flow(np.array(arrays["flow"]), np.array(arrays["confidence"]))
     return WorkFrame(frame, flow, document["start"])
 
@@ -213,6 +217,8 @@ def _write(file: Path, plan: FramePlan, frame: Frame, flow: Flow, start: FrameSt
         "flow": field,
         "confidence": flow.confidence,
     }
+    if frame.points is not None:
+        arrays["points"] = frame.points
     document = {
         "start": start,
         "photometric_error": starts.photometric_error(plan.reference, frame.image, field, plan.mask),

@@ -123,8 +123,7 @@ def clip_driver(source: UsedModel, frames: str, options: ClipOptions = AS_IT_IS)
     model = source.model.for_person(framed.person)
 
     def offset(name: str, picture: Image, found: FacePoints | None) -> MorphOffset:
-        aligned = model.align(picture, name, found).image
-        return model.morph_of(aligned, model.flow_from_reference) - model.mean
+        return model.morph_of(model.align(picture, name, found)) - model.mean
 
     return Driver(
         name=framed.clip.name,

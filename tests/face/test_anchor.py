@@ -10,6 +10,7 @@ from morphspace.errors import BadInput
 from morphspace.face import anchor
 from morphspace.face.anchor import FaceAnchor, _anchor_on, anchor_of_build, rigid_movement, spline_from
 from morphspace.face.detector import Detector, MissingModels
+from morphspace.face.faceframe import Frame, identity_affine
 from morphspace.face.mesh import FACE_OUTLINE, INNER_LIPS, OUTER_LIPS, POINT_COUNT, RIGHT_LIDS, FacePoints
 from morphspace.flow import Flow
 from morphspace.flow.starts import landmark_spline
@@ -23,11 +24,12 @@ def points(seed=4):
     return np.random.default_rng(seed).uniform((8, 8), (52, 64), (POINT_COUNT, 2))
 
 
-def held_to(found, reference=None):
-    """An anchor on a reference with `points()`; in every other picture it finds `found` (n, 2), or no face."""
-    face = FacePoints(points(), 0.9)
-    find = (lambda image: None) if found is None else (lambda image: FacePoints(found, 0.9))
-    return FaceAnchor(Detector(find, {"version": 1}), face)
+BLIND = Detector(lambda image: None, {"version": 1})
+
+
+def frame_of(image, found):
+    """An aligned frame with face points (478, 2), or none: the detector need not look."""
+    return Frame(image, "some", identity_affine(), np.zeros((0, 2)) if found is None else found)
 
 
 def still(frame, start=None):
@@ -109,9 +111,8 @@ def test_what_the_flow_does_not_find_the_points_do_within_the_face_and_less_and_
     face = drawn_anna.points()
     moved = face.moved(np.add(face.points, (4.0, -3.0)))
     height, width = drawn_anna.model.mask.shape
-    anchor_of = FaceAnchor(Detector(lambda image: moved, {"version": 1}), face)
     find, _ = constant(0.0, 0.0, height, width)
-    flow = anchor_of.held(find, height, width)(drawn_anna.picture(), None)
+    flow = FaceAnchor(BLIND, face).held(find, height, width)(frame_of(drawn_anna.picture(), moved.points))
     outline = face.points[list(FACE_OUTLINE)]
     x, y = np.round(outline.mean(axis=0)).astype(int)
     assert_allclose(flow.displacement[y, x], (4.0, -3.0), atol=0.01)  # px
@@ -126,7 +127,7 @@ def test_the_flow_sees_the_frame_with_the_spline_taken_out(picture, wavy_field):
     frame = warp.render(reference, field)
     found = warp.move_points(field, points())
     find, seen = constant(0.0, 0.0)
-    held_to(found).held(find, HEIGHT, WIDTH)(frame, None)
+    FaceAnchor(BLIND, FacePoints(points(), 0.9)).held(find, HEIGHT, WIDTH)(frame_of(frame, found))
     inside = (slice(12, -12), slice(12, -12))
     assert (
         np.abs(seen[0][inside] - reference[inside]).mean()
@@ -138,9 +139,9 @@ def test_lips_and_lids_follow_the_points_and_the_flow_counts_around_them_within_
     """HELD_AROUND, MOST_BEYOND: a tenth of the eye distance within the face, and a pixel more per pixel outside."""
     face = drawn_anna.points()
     height, width = drawn_anna.model.mask.shape
-    anchor_of = FaceAnchor(Detector(lambda image: face, {"version": 1}), face)
     find, _ = constant(1.5, 0.0, height, width)  # px; it is not found in the pictures
-    right = anchor_of.held(find, height, width)(drawn_anna.picture(), None).displacement[..., 0]
+    frame = frame_of(drawn_anna.picture(), face.points)
+    right = FaceAnchor(BLIND, face).held(find, height, width)(frame).displacement[..., 0]
 
     def at(place):
         x, y = np.round(place).astype(int)
@@ -164,12 +165,12 @@ def test_lips_and_lids_follow_the_points_and_the_flow_counts_around_them_within_
 def test_a_frame_without_a_face_goes_to_the_flow_as_it_is(picture):
     frame = picture(HEIGHT, WIDTH)
     find, seen = constant(1.0, 0.0)
-    flow = held_to(None).held(find, HEIGHT, WIDTH)(frame, None)
+    flow = FaceAnchor(BLIND, FacePoints(points(), 0.9)).held(find, HEIGHT, WIDTH)(frame_of(frame, None))
     assert seen[0] is frame and (flow.displacement == (1.0, 0.0)).all()
 
 
 def test_a_reference_without_a_face_anchors_nothing(picture):
-    assert _anchor_on(picture(HEIGHT, WIDTH), Detector(lambda image: None, {"version": 1})) is None
+    assert _anchor_on(picture(HEIGHT, WIDTH), BLIND) is None
 
 
 HELD_BUILD = {"landmarks": {"reference_has_face": True, "held": True}}
@@ -190,10 +191,13 @@ def test_a_model_reads_new_frames_as_its_build_did_where_the_networks_are(model,
     )
     known = held.align(np.array(model.reference), "some", detector.find(model.reference))
     assert_array_equal(known.image, frame.image)  # bytes; a known face is not detected again
+    held.morph_of(known)  # nor in the aligned frame
     assert not asked
+    assert_allclose(known.points, warp.apply_affine(warp.inverse_affine(known.registration), points()))
     moved = Detector(lambda image: FacePoints(points() + 2.0, 0.9), {"version": 1})
+    held = replace(held)
     held.__dict__["anchor"] = FaceAnchor(moved, FacePoints(points(), 0.9))
-    started = held.flow_from_reference(np.array(model.reference), None)
+    started = held.flow_from_reference(Frame(np.array(model.reference), "some", identity_affine()))
     assert (
         np.median(np.abs(started.displacement[20:50, 20:40] - 2.0)) < 0.1
     )  # px: as the points say, not as the picture

@@ -126,6 +126,20 @@ def test_a_clip_in_which_no_face_is_found_is_built_as_without(clip, tmp_path):
     assert not build.faces_found.any() and plain.faces_found is None
 
 
+def test_a_build_looks_once_at_each_frame_and_the_points_move_with_the_aligned_picture(clip, tmp_path):
+    look = Looking(miss=[clip.pictures[2]])
+    faceframe = FacePoints(neutral_points(), 0.9).faceframe()  # given: keypoints need not be detected
+    settings = replace(SETTINGS, faceframe=faceframe, detector=Detector(look, {"version": 1}))
+    build = result_of(build_steps(clip, settings, tmp_path, PROVENANCE))
+    assert look.calls == len(clip.names)
+    for index in range(len(clip.names)):
+        frame, _ = build.frame(index)
+        if index == 2:
+            assert frame.points.shape == (0, 2)
+        else:
+            assert_allclose(warp.apply_affine(frame.registration, frame.points), neutral_points(), atol=1e-9)
+
+
 def test_a_given_mask_overrides_that_of_the_detected_face(clip, tmp_path):
     mask = np.zeros((HEIGHT, WIDTH), np.float32)
     mask[20:60, 15:45] = 1

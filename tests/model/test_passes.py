@@ -15,6 +15,7 @@ from morphspace.flow import methods
 from morphspace.grid import warp
 from morphspace.linear.quality import psnr_db, rms_px
 from morphspace.model import passes as build_module
+from morphspace.model.morph import morph_of, resource
 from morphspace.model.passes import BuildSettings, build_steps
 from morphspace.model.reference import _mouth_contrast
 from morphspace.steps import result_of
@@ -88,7 +89,9 @@ def test_the_loadings_are_the_projections_of_the_morphs(build):
     model = build.model
     for index in (0, 4):
         frame, flow = build.frame(index)
-        morph = model.morph_of(frame.image, lambda image, start, flow=flow: flow)
+        morph = morph_of(
+            frame.image, resource(flow.displacement, model.mean_inverse), model.mean.reference_id
+        )
         assert_allclose(model.project(morph), model.training.values[index], atol=1e-3 * model.sd[0])
 
 

@@ -11,9 +11,11 @@ import pytest
 from morphspace import notebook
 from morphspace.errors import BadInput
 from morphspace.face import anchor as anchor_room
+from morphspace.face.anchor import rigid_movement
 from morphspace.face.detector import Detector
 from morphspace.face.faceframe import FaceFrame
 from morphspace.face.mesh import POINT_COUNT, FacePoints
+from morphspace.grid import warp
 from morphspace.io.clips import open_clip
 from morphspace.io.images import write_image
 from morphspace.io.tables import read_loadings_table
@@ -197,8 +199,8 @@ def test_the_chosen_face_starts_the_registration_and_changes_what_is_stored_of_a
         asked.clear()
         source = framed_for(two, (str(tmp_path / "two"),), None, ClipOptions(person=person))
         reader = two.for_person(source.person)
-        start = reader.anchor.movement(model.render(np.zeros(3)))
-        shifts[person] = round(float(start[0, 2]), 6)
+        found = reader.anchor.detector(model.render(np.zeros(3)))
+        shifts[person] = round(float(rigid_movement(reader.anchor.face, found)[0, 2]), 6)
         digests |= set(source.digests)
         assert len(list(encoded_frames(two, source))) == 1
         if isinstance(person, tuple):  # px of the frames of 120 x 144; the model has 60 x 72
@@ -221,13 +223,11 @@ def test_a_place_outside_the_crop_of_the_build_is_refused_and_a_side_is_said(of_
     assert note == "--person right chooses among the faces inside the crop 0,0,60,72"
 
 
-def test_an_anchored_flow_searches_an_aligned_frame_where_the_reference_has_the_face(of_two):
-    two, asked = of_two
-    middle = tuple(map(float, two.anchor.face.points.mean(axis=0)))
-    chosen = two.for_person("left")
-    asked.clear()
-    assert chosen.anchor.detector_of_aligned.identity == {"person": str(middle)}
-    assert two.anchor.detector_of_aligned is None
+def test_the_points_that_hold_a_frame_are_those_of_the_chosen_face(of_two):
+    two, _ = of_two
+    frame = two.for_person("left").align(two.render(np.zeros(3)))
+    expected = warp.apply_affine(warp.inverse_affine(frame.registration), face_at(29.0, 36.0).points)
+    np.testing.assert_allclose(frame.points, expected)
 
 
 def test_a_person_without_face_points_is_refused(work, model):

@@ -35,7 +35,7 @@ def test_texture_and_warp_of_a_frame_give_it_back(asked, model, tmp_path):
     for name in ("a", "b 2", "é"):
         texture, field = read_image(folder / f"{name}.exr"), read_flow(folder / f"{name}.flo").displacement
         frame = read_image(tmp_path / "clip" / f"{name}.png")
-        morph = model.morph_of(model.align(frame).image)
+        morph = model.morph_of(model.align(frame))
         assert_allclose(texture, morph.texture, atol=1e-5)
         assert (field == morph.displacement).all()
         assert psnr_db(warp.render(texture, field), np.asarray(frame), model.mask) > 35
