@@ -22,8 +22,8 @@ from morphspace.io.colour import codes_of
 from morphspace.linear.pca import Basis, fit_basis
 from morphspace.linear.rows import RowArray
 from morphspace.model.loadings import Loadings
-from morphspace.model.model import MorphModel, inner_product, load_model
-from morphspace.model.morph import Morph
+from morphspace.model.model import MorphModel, load_model
+from morphspace.model.morph import Morph, inner_product
 
 WIDTH, HEIGHT = 200, 240
 FACES, COMPONENTS = 300, 100  # of the PCA

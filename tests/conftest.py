@@ -21,8 +21,8 @@ from morphspace.model.keypoints import (
 )
 from morphspace.model.landmarks import learn_landmarks
 from morphspace.model.loadings import Loadings
-from morphspace.model.model import MorphModel, inner_product, model_digest
-from morphspace.model.morph import Morph
+from morphspace.model.model import MorphModel, model_digest
+from morphspace.model.morph import Morph, inner_product
 from morphspace.synthetic import Actor, Expression, Identity, drawn_actor
 from morphspace.synthetic.inverse import at_points
 

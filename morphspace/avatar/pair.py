@@ -26,8 +26,8 @@ from morphspace.linear.pca import fit_basis
 from morphspace.linear.rows import RowArray
 from morphspace.model.keypoints import landmarks_of, lip_of, required_faceframe
 from morphspace.model.loadings import Loadings
-from morphspace.model.model import MorphModel, inner_product, model_digest
-from morphspace.model.morph import Morph, invert_mean_shape, resource
+from morphspace.model.model import MorphModel, model_digest
+from morphspace.model.morph import Morph, inner_product, invert_mean_shape, resource
 from morphspace.storage import digest_of_array, digest_of_json
 
 POINT_DIGITS = 2  # of a px, as `keypoints --auto` writes them

@@ -18,7 +18,8 @@ import numpy as np
 from morphspace.arrays import AnyArray, LoadingVector, Mask
 from morphspace.errors import BadInput
 from morphspace.imitation import masked_basis
-from morphspace.model.model import MorphModel, inner_product, load_model
+from morphspace.model.model import MorphModel, load_model
+from morphspace.model.morph import inner_product
 from morphspace.storage import digest_of_file
 from morphspace.transfer.mimicry import Method, mimic
 from morphspace.transfer.projection import Projection

@@ -25,7 +25,8 @@ from morphspace.io.tables import LoadingsDocument, read_loadings_table
 from morphspace.linear.posterior import Posterior
 from morphspace.model.encode import STRANGE, encoded_frames, energy_outside, framed_for, notes_on_frames
 from morphspace.model.keypoints import region_of
-from morphspace.model.model import MorphModel, inner_product
+from morphspace.model.model import MorphModel
+from morphspace.model.morph import inner_product
 from morphspace.requests import AS_IT_IS, ClipOptions
 from morphspace.steps import Step, Steps, in_order
 from morphspace.stimuli.table_checks import check_reach

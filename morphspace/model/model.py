@@ -48,10 +48,12 @@ from morphspace.model.morph import (
     Morph,
     MorphOffset,
     displacement_columns,
+    inner_product,
     morph_of,
     resource,
     texture_columns,
 )
+from morphspace.model.revealed import Revealed, learn_revealed
 from morphspace.settings import shown
 from morphspace.storage import digest_of_array, digest_of_json, is_container_or_nothing, write_container
 
@@ -372,6 +374,11 @@ class MorphModel:
             )
         return (self.basis if len(values) == self.rank else self.basis.truncate(len(values))), values
 
+    @cached_property
+    def revealed(self) -> Revealed:
+        """How the colours of mouth and eyes follow a warp that the texture does not share."""
+        return learn_revealed(self.expand, self.training.values)
+
     def render(self, loadings: AnyArray | Loadings) -> Image:
         """Draw the face of raw loadings (j,), or of `Loadings` of one face, as a picture (h, w, 3).
 
@@ -505,32 +512,6 @@ def points_document(faceframe: FaceFrame | None) -> dict[str, list[float]] | Non
         return None
     names = ("right_eye", "left_eye", "philtrum")
     return {name: list(map(float, point)) for name, point in zip(names, faceframe.points, strict=True)}
-
-
-def inner_product(mask: Mask, warp_weight: float) -> AnyArray:
-    """Compute the weights (5 h w,) of the inner product: mask for texture, s^2 mask for displacement.
-
-    Parameters
-    ----------
-    mask : array (h, w)
-    warp_weight : float
-        s, colour per px.
-
-    References
-    ----------
-    The mask and s are ours; Nagle et al. (section 2) add texture and warp in their own units.
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> inner_product(np.ones((1, 2), np.float32), 0.5).tolist()
-    [1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 0.25, 0.25, 0.25, 0.25]
-    """
-    height, width = mask.shape
-    column = mask[..., None]
-    texture = np.broadcast_to(column, (height, width, 3))
-    displacement = np.broadcast_to(column * np.float32(warp_weight**2), (height, width, 2))
-    return MorphOffset.of(texture, displacement, "").vector
 
 
 def model_digest(basis: Basis, mean: Morph, provenance: Mapping[str, Any]) -> str:

@@ -186,6 +186,32 @@ def displacement_columns(shape: tuple[int, int]) -> slice:
     return slice(3 * shape[0] * shape[1], CHANNELS * shape[0] * shape[1])
 
 
+def inner_product(mask: Mask, warp_weight: float) -> AnyArray:
+    """Compute the weights (5 h w,) of the inner product: mask for texture, s^2 mask for displacement.
+
+    Parameters
+    ----------
+    mask : array (h, w)
+    warp_weight : float
+        s, colour per px.
+
+    References
+    ----------
+    The mask and s are ours; Nagle et al. (section 2) add texture and warp in their own units.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> inner_product(np.ones((1, 2), np.float32), 0.5).tolist()
+    [1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 0.25, 0.25, 0.25, 0.25]
+    """
+    height, width = mask.shape
+    column = mask[..., None]
+    texture = np.broadcast_to(column, (height, width, 3))
+    displacement = np.broadcast_to(column * np.float32(warp_weight**2), (height, width, 2))
+    return MorphOffset.of(texture, displacement, "").vector
+
+
 def _checked(vector: AnyArray, shape: tuple[int, int]) -> AnyArray:
     """Return a read-only view of a vector. Raises `BadInput` if its length is not 5 h w."""
     height, width = shape

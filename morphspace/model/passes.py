@@ -32,8 +32,16 @@ from morphspace.linear.pca import Basis, basis_from_gram, gram_matrix, mean_row
 from morphspace.linear.rows import RowFile, temporary_rows
 from morphspace.model.keypoints import detect_faceframe, with_detected
 from morphspace.model.loadings import Loadings
-from morphspace.model.model import MorphModel, inner_product, model_digest
-from morphspace.model.morph import CHANNELS, Morph, invert_mean_shape, morph_of, resource, shown_share
+from morphspace.model.model import MorphModel, model_digest
+from morphspace.model.morph import (
+    CHANNELS,
+    Morph,
+    inner_product,
+    invert_mean_shape,
+    morph_of,
+    resource,
+    shown_share,
+)
 from morphspace.model.reference import (
     POOL,
     ReferenceChoice,

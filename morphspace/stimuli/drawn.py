@@ -10,7 +10,7 @@ from morphspace.arrays import Image, LoadingVector, Mask
 from morphspace.errors import BadInput
 from morphspace.model.keypoints import region_of
 from morphspace.model.model import MorphModel
-from morphspace.model.morph import Morph, MorphOffset
+from morphspace.model.morph import Morph
 from morphspace.steps import in_order
 from morphspace.stimuli.drawing import Drawing
 
@@ -109,9 +109,9 @@ def _morph_at(model: MorphModel, drawing: Drawing, row: int, mask: Mask | None) 
 def _morph(model: MorphModel, shape_sd: LoadingVector, colour_sd: LoadingVector | None) -> Morph:
     if colour_sd is None:
         return model.expand(_loadings(model, shape_sd))
-    texture = model.texture_offset(_loadings(model, colour_sd))
-    displacement = model.displacement_offset(_loadings(model, shape_sd))
-    return model.mean + MorphOffset.of(texture, displacement, model.mean.reference_id)
+    coloured, shaped = (model.expand(_loadings(model, values)) for values in (colour_sd, shape_sd))
+    revealed = model.revealed.change(shaped.displacement, coloured.displacement)
+    return Morph.of(coloured.texture + revealed, shaped.displacement, model.mean.reference_id)
 
 
 def _loadings(model: MorphModel, values_sd: LoadingVector) -> LoadingVector:

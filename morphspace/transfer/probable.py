@@ -13,7 +13,8 @@ from morphspace.arrays import AnyArray, Mask
 from morphspace.face.mesh import LEFT_BROW, LEFT_LIDS, LIPS, RIGHT_BROW, RIGHT_LIDS
 from morphspace.linear.posterior import Observations, Posterior
 from morphspace.model.keypoints import landmarks_of, required_faceframe
-from morphspace.model.model import MorphModel, inner_product
+from morphspace.model.model import MorphModel
+from morphspace.model.morph import inner_product
 from morphspace.transfer.projection import Projection
 
 # Times the noise variance of the target's own frames: another person's face differs by more than what the components

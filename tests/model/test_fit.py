@@ -10,8 +10,7 @@ from morphspace.linear.quality import psnr_db
 from morphspace.linear.rows import RowArray
 from morphspace.model import fit as fit_module
 from morphspace.model.fit import AREA_RANGE, NOISE_VARIANCE, Fitter
-from morphspace.model.model import inner_product
-from morphspace.model.morph import Morph
+from morphspace.model.morph import Morph, inner_product
 
 
 def cost(model, image, loadings):

@@ -19,8 +19,8 @@ from morphspace.grid import warp
 from morphspace.linear.quality import psnr_db
 from morphspace.model.file import ARRAY_KINDS, content_digest
 from morphspace.model.loadings import Loadings
-from morphspace.model.model import inner_product, load_model
-from morphspace.model.morph import Morph, MorphOffset
+from morphspace.model.model import load_model
+from morphspace.model.morph import Morph, MorphOffset, inner_product
 from morphspace.storage import read_container, write_container
 
 # expanding and rendering

@@ -8,13 +8,13 @@ from morphspace.errors import BadInput, ReferenceMismatch
 from morphspace.grid import warp
 from morphspace.linear.pca import fit_basis
 from morphspace.linear.rows import RowArray
-from morphspace.model.model import inner_product
 from morphspace.model.morph import (
     MEAN_FOLDS,
     Morph,
     MorphOffset,
     _check_same_reference,
     deserialise,
+    inner_product,
     invert_mean_shape,
     morph_of,
     resource,

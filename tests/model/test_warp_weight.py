@@ -11,8 +11,7 @@ from morphspace.linear.pca import fit_basis, gram_matrix, mean_row
 from morphspace.linear.quality import psnr_db
 from morphspace.linear.rows import RowArray, RowFile
 from morphspace.model import warp_weight
-from morphspace.model.model import inner_product
-from morphspace.model.morph import Morph, morph_of
+from morphspace.model.morph import Morph, inner_product, morph_of
 from morphspace.model.warp_weight import (
     FACTORS,
     HELD_OUT,

@@ -36,8 +36,8 @@ from morphspace.linear.rows import RowArray
 from morphspace.model.encode import notes_on_frames, notes_on_framing
 from morphspace.model.keypoints import how_to_learn, required_landmarks
 from morphspace.model.loadings import Loadings
-from morphspace.model.model import MorphModel, inner_product, load_model, model_digest
-from morphspace.model.morph import Morph
+from morphspace.model.model import MorphModel, load_model, model_digest
+from morphspace.model.morph import Morph, inner_product
 from morphspace.report.mimic_page import HEADINGS, LEFT_OUT
 from morphspace.requests import field_named
 from morphspace.sets import mimicry, models
