@@ -98,6 +98,37 @@ def drawn_neutral():
     return neutral
 
 
+def solid_face():
+    """478 points (x, y, depth) of a made-up head in its own axes: eyes at y 0, the base of the nose in front."""
+    rng = np.random.default_rng(3)
+    solid = np.column_stack([rng.uniform(-60, 60, 478), rng.uniform(-80, 80, 478), rng.uniform(-20, 40, 478)])
+    for outer, inner, place in ((33, 133, -1), (263, 362, 1)):
+        solid[outer], solid[inner] = (place * 45, 0, 10), (place * 15, 0, 0)
+    for right, left, x, y, depth in ((127, 356, 70, 5, 70), (234, 454, 70, 25, 75), (162, 389, 65, -20, 60)):
+        solid[right], solid[left] = (-x, y, depth), (x, y, depth)
+    # The base of the nose stands before the eyes by the angle a resting face has.
+    forward = 50 * np.tan(np.radians(mesh.RESTING_PITCH_DEG))
+    solid[98], solid[2], solid[327] = (-12, 50, 5 - forward), (0, 50, 5 - forward), (12, 50, 5 - forward)
+    return solid
+
+
+def turned(solid, yaw_deg=0.0, pitch_deg=0.0, roll_deg=0.0):
+    """The head turned to the image's right, up, and clockwise in the picture."""
+    yaw, pitch, roll = np.radians([yaw_deg, pitch_deg, roll_deg])
+    # A face that looks to the image's right brings its right-hand side (larger x) away from the camera.
+    about_y = np.array([[np.cos(yaw), 0, -np.sin(yaw)], [0, 1, 0], [np.sin(yaw), 0, np.cos(yaw)]])
+    about_x = np.array([[1, 0, 0], [0, np.cos(pitch), np.sin(pitch)], [0, -np.sin(pitch), np.cos(pitch)]])
+    about_z = np.array([[np.cos(roll), -np.sin(roll), 0], [np.sin(roll), np.cos(roll), 0], [0, 0, 1]])
+    solid = solid @ (about_z @ about_y @ about_x).T
+    return mesh.FacePoints(solid[:, :2] + 100, 0.9, depth=solid[:, 2])
+
+
+@pytest.fixture(scope="session")
+def turned_face():
+    """A function of yaw, pitch and roll, degrees, that gives the points and depth of a made-up head."""
+    return lambda **turns: turned(solid_face(), **turns)
+
+
 @pytest.fixture(scope="session")
 def picture():
     return textured

@@ -21,6 +21,7 @@ from typing import Any
 
 import cv2
 import numpy as np
+from scipy import ndimage
 
 from morphspace.arrays import Affine, AnyArray, Displacement, Image, Points
 from morphspace.errors import BadInput
@@ -28,6 +29,7 @@ from morphspace.face.detector import Detector, Person, load_detector, person_of
 from morphspace.face.faceframe import Frame
 from morphspace.face.mesh import (
     FACE_OUTLINE,
+    GIVEN_SCORE,
     LEFT_BROW,
     LEFT_LIDS,
     LIPS,
@@ -42,6 +44,7 @@ from morphspace.face.registration import fitted_similarity
 from morphspace.flow import Flow, FlowFunction
 from morphspace.flow.folds import unfolded
 from morphspace.grid import warp
+from morphspace.steps import single_threads
 
 # Mesh points between the rings of lids, lips and outline.
 CHEEKS_AND_CHIN = (50, 280, 205, 425, 199, 200)
@@ -113,7 +116,8 @@ def _distance_px(face: FacePoints, rings: Iterable[tuple[int, ...]], height: int
     outside = np.ones((height, width), np.uint8)
     for ring in rings:
         cv2.fillPoly(outside, [np.round(face.points[list(ring)]).astype(np.int32)], 0)
-    return cv2.distanceTransform(outside, cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
+    # OpenCV's exact transform differs in the last bits from call to call.
+    return np.asarray(ndimage.distance_transform_edt(outside), np.float32)
 
 
 def points_of(found: FacePoints | None) -> Points:
@@ -127,16 +131,10 @@ def rigid_movement(reference: FacePoints, frame: FacePoints) -> Affine:
     return fitted_similarity(reference.points[rigid], frame.points[rigid])
 
 
-def _anchor_on(reference: Image, detector: Detector) -> FaceAnchor | None:
-    """Detect the face in a reference (h, w, 3); return its anchor, or None without a face."""
-    face = detector(reference)
-    return None if face is None else FaceAnchor(detector, face)
-
-
 def anchor_of_build(
     reference: Image, provenance: Mapping[str, Any], person: Person | None = None
 ) -> FaceAnchor | None:
-    """Detect again the face that a model's build found in its reference (h, w, 3).
+    """Return the face of a model's reference (h, w, 3): as it was given, or detected again as in the build.
 
     It starts the registration of every frame, and holds the flow if `was_held`. `person` is the face that is
     searched in frames; None for the choice of the build.
@@ -160,13 +158,14 @@ def anchor_of_build(
         raise BadInput("the model was built with --landmarks anchor, which is no more. Build the model again")
     found_by = entry.get("detector")
     chosen = person_of(found_by.get("person") if isinstance(found_by, Mapping) else None)
-    anchor = _anchor_on(np.array(reference), load_detector(person=chosen))
-    if anchor is None:
+    detector, points = load_detector(person=chosen), entry.get("reference_points")
+    face = FacePoints(np.array(points), GIVEN_SCORE) if points else detector(np.array(reference))
+    if face is None:
         raise BadInput(
             "the detector finds no face in the reference, where the build found one. Build the model again with this "
             "morphspace"
         )
-    return anchor if person is None else FaceAnchor(load_detector(person=person), anchor.face)
+    return FaceAnchor(detector if person is None else load_detector(person=person), face)
 
 
 def was_held(provenance: Mapping[str, Any]) -> bool:
@@ -217,9 +216,10 @@ def spline_from(places: Points, height: int, width: int) -> Callable[[Points], D
     nodes = (np.column_stack([x.ravel(), y.ravel()]) - centre) / unit
     flat = np.column_stack([np.ones(len(knots)), knots])
     system = np.block([[_bending(knots, knots), flat], [flat.T, np.zeros((3, 3))]])
-    # Knots on one line do not determine the affine part across it; the pseudo-inverse chooses the smallest.
-    solution = np.linalg.pinv(system, rcond=1e-12, hermitian=True)[:, : len(knots)] @ together
-    at_nodes = np.column_stack([_bending(nodes, knots), np.ones(len(nodes)), nodes]) @ solution
+    with single_threads():  # else the last bits depend on the number of cores
+        # Knots on one line do not determine the affine part across it; the pseudo-inverse chooses the smallest.
+        solution = np.linalg.pinv(system, rcond=1e-12, hermitian=True)[:, : len(knots)] @ together
+        at_nodes = np.column_stack([_bending(nodes, knots), np.ones(len(nodes)), nodes]) @ solution
     operator = at_nodes.astype(np.float32)
     at_x, at_y = np.meshgrid(*(np.arange(size, dtype=np.float32) / step + MARGIN for size in (width, height)))
 

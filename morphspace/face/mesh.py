@@ -18,6 +18,7 @@ from morphspace.face.faceframe import FaceFrame
 
 SCHEME = "mediapipe-attention-478"
 POINT_COUNT = 478
+GIVEN_SCORE = 1.0  # of a face whose points were given
 MESH_COUNT = 468  # points; the others are the two irises
 
 # Lid rings run from the outer corner along the lower lid to the inner corner, and back along the upper lid.
@@ -57,6 +58,9 @@ MIRRORED_PAIRS = ((33, 263), (133, 362), (127, 356), (234, 454), (162, 389), (98
 DOWN_FROM, DOWN_TO = (33, 133, 362, 263), (98, 2, 327)  # the corners of the eyes, the base of the nose
 # Degrees by which a frontal face's nose base is in front of its eyes; median of eight clips
 RESTING_PITCH_DEG = 25.4
+# Eye distances between two readings at which the confidence is one half. On four `tune` people points behind a drawn
+# hand have .032 to .052 (means), all others .018 to .028.
+APART_SHARE = 0.04
 MAX_TURN_DEG = 20.0  # degrees; above it a driving face is flagged, since its far side is hidden
 
 
@@ -95,6 +99,8 @@ class FacePoints:
         The meaning of each point.
     depth : array (n,) px, or None
         Estimated distance behind the face's centre, smaller nearer to the camera; None if unknown.
+    confidence : array (n,), or None
+        Of each point, in [0, 1] (`confidence_of`); None if unknown.
     others : array (m, 2) px
         The middles of further faces in the image.
 
@@ -108,16 +114,18 @@ class FacePoints:
     score: float
     scheme: str = SCHEME
     depth: AnyArray | None = None
+    confidence: AnyArray | None = None
     others: Points = field(default_factory=lambda: np.zeros((0, 2)))
 
     def __post_init__(self) -> None:
         expected = (POINT_COUNT, 2) if self.scheme == SCHEME else (len(self.points), 2)
         if self.points.shape != expected:
             raise BadInput(f"points of {self.scheme} have shape {self.points.shape}; expected {expected}")
-        if self.depth is not None and self.depth.shape != expected[:1]:
-            raise BadInput(
-                f"depths have shape {self.depth.shape}; expected {expected[:1]}, one for each point"
-            )
+        for name, values in (("depths", self.depth), ("confidences", self.confidence)):
+            if values is not None and values.shape != expected[:1]:
+                raise BadInput(
+                    f"{name} have shape {values.shape}; expected {expected[:1]}, one for each point"
+                )
         if not np.isfinite(self.points).all():
             raise BadInput("a face point is not finite. Leave this frame out")
 
@@ -158,6 +166,13 @@ class FacePoints:
         pitch = np.degrees(np.arctan2(-down[2], np.hypot(down[0], down[1]))) - RESTING_PITCH_DEG
         return float(yaw), float(pitch)
 
+    @property
+    def roll_degrees(self) -> float:
+        """The turn of the eye line in the picture, degrees; positive clockwise."""
+        frame = self.faceframe()
+        across, down = np.subtract(frame.left_eye, frame.right_eye)
+        return float(np.degrees(np.arctan2(down, across)))
+
     def is_turned(self, limit_deg: float = MAX_TURN_DEG) -> bool:
         """Return whether yaw or pitch exceeds `limit_deg`."""
         return max(map(abs, self.turn_degrees)) > limit_deg
@@ -169,6 +184,31 @@ class FacePoints:
     def _need_scheme(self) -> None:
         if self.scheme != SCHEME:
             raise BadInput(f"the face points are {self.scheme}; expected {SCHEME}. Detect them again")
+
+
+def confidence_of(apart_px: AnyArray, eyes_px: float) -> AnyArray:
+    """Compute the confidence of points from the distance of two readings of each.
+
+    Parameters
+    ----------
+    apart_px : array (n,) px
+        Distance of the reading of the mirrored picture from that of the picture.
+    eyes_px : float
+        The distance between the eyes, px.
+
+    Returns
+    -------
+    array (n,), in [0, 1]
+        1 for equal readings, one half at `APART_SHARE`.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> confidence_of(np.array([0.0, 2.0, 4.0]), 50.0).tolist()
+    [1.0, 0.5, 0.2]
+    """
+    out: AnyArray = 1 / (1 + (apart_px / (APART_SHARE * eyes_px)) ** 2)
+    return out
 
 
 def landmark_places(group: str) -> slice:

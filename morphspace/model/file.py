@@ -59,14 +59,31 @@ class ReferenceEntry(TypedDict):
     sha256: Digest
 
 
+class GivenEntry(TypedDict):
+    """The file from which face points were taken: its name and digest."""
+
+    file: str
+    sha256: Digest
+
+
+Range = Annotated[list[float], Len(2, 2), Called("[smallest, largest] in degrees")]
+
+
 class SearchEntry(TypedDict, total=False):
-    """The search of faces in the frames of a build."""
+    """The face points of a build: `reference_points` in px if they were given, the frames' pose if it is known."""
 
     detector: dict[str, Any]
     held: bool
     frames: Count
     frames_with_face: Count
+    frames_given: Count
+    frames_turned: Count
     reference_has_face: bool
+    reference_points: list[Point]
+    given: GivenEntry
+    yaw_deg: Range
+    pitch_deg: Range
+    roll_deg: Range
 
 
 class KeypointsEntry(TypedDict, total=False):

@@ -22,12 +22,12 @@ from morphspace.face.crop import check_one_person, several_notes
 from morphspace.face.detector import Detector
 from morphspace.face.faceframe import FaceFrame, Frame, RegistrationKind
 from morphspace.face.mesh import FacePoints
-from morphspace.face.points_in_clip import points_steps
 from morphspace.face.regions import face_mask, rigid_region
+from morphspace.face.track import FaceTrack, GivenPoints, track_steps
 from morphspace.flow import Flow, methods, starts
 from morphspace.flow.starts import StartKind
 from morphspace.grid import warp
-from morphspace.io.framing import FrameSource, same_size
+from morphspace.io.framing import FrameSource
 from morphspace.linear.pca import Basis, basis_from_gram, gram_matrix, mean_row
 from morphspace.linear.rows import RowFile, temporary_rows
 from morphspace.model.keypoints import detect_faceframe, with_detected
@@ -87,6 +87,8 @@ class BuildSettings:
     faceframe_index : int, optional
     detector : Detector, optional
         Finds the face in each frame; see `build_steps`.
+    given : GivenPoints, optional
+        Face points of some frames, px of the frame; the detector searches the others.
     is_video : bool
         Whether the frames are those of a video, in which a face moves little from one to the next.
     """
@@ -101,6 +103,7 @@ class BuildSettings:
     faceframe: FaceFrame | None = None
     faceframe_index: int | None = None
     detector: Detector | None = None
+    given: GivenPoints | None = None
     is_video: bool = False
 
 
@@ -130,8 +133,8 @@ class Build:
     warnings : tuple of str
     frame_files : tuple of n Path
         In the work folder.
-    faces_found : array (n,) bool, or None
-        Frames in which the detector found the face; None without a detector.
+    track : FaceTrack or None
+        The face in each frame; None without a detector.
     """
 
     model: MorphModel
@@ -146,7 +149,7 @@ class Build:
     held_out_db: float | None
     warnings: tuple[str, ...]
     frame_files: tuple[Path, ...] = field(repr=False)
-    faces_found: AnyArray | None = None
+    track: FaceTrack | None = None
 
     def frame(self, index: int) -> tuple[Frame, Flow]:
         """Read aligned frame `index` and its flow from the reference."""
@@ -190,16 +193,16 @@ def build_steps(
     work_folder.mkdir(parents=True, exist_ok=True)
     survey = yield from _survey_pass(source, settings, work_folder)
     choice = yield from _reference_pass(source, settings, survey)
-    face = survey.found[choice.index]
+    face = survey.track.faces[choice.index]
     plan, on_reference = _plan(source, settings, choice, face)
-    files = yield from frame_steps(source, plan, work_folder, survey.found)
+    files = yield from frame_steps(source, plan, work_folder, survey.track.faces)
     shape = _mean_shape(settings, plan, on_reference, files)
     with temporary_rows(work_folder, len(files), CHANNELS * plan.mask.size) as rows:
         measured = yield from _morph_pass(rows, files, shape)
         components = yield from _component_pass(rows, files, shape.mask, settings)
     document = _provenance_of_build(provenance, settings, survey, choice, plan, on_reference, components)
     model = _model(source.names, settings, plan, on_reference, shape, components, document)
-    warnings = _warnings(source, choice, model) + several_notes(source.names, survey.found)
+    warnings = _warnings(source, choice, model) + several_notes(source.names, survey.track.faces)
     model, without_keypoints = yield from _keypoint_pass(model, settings)
     return Build(
         model=model,
@@ -214,9 +217,7 @@ def build_steps(
         held_out_db=components.held_out_db,
         warnings=warnings + without_keypoints,
         frame_files=tuple(files),
-        faces_found=None
-        if settings.detector is None
-        else np.array([one is not None for one in survey.found]),
+        track=None if settings.detector is None else survey.track,
     )
 
 
@@ -237,9 +238,9 @@ def _check(source: FrameSource, settings: BuildSettings) -> None:
 
 @dataclass(frozen=True, eq=False)
 class _Survey:
-    """The first pass over the frames: face points of each, None without a face; small pictures by index."""
+    """The first pass over the frames: their face points, and small pictures by index."""
 
-    found: tuple[FacePoints | None, ...]
+    track: FaceTrack
     small: Mapping[int, SmallFrame]
 
 
@@ -251,13 +252,11 @@ def _survey_pass(source: FrameSource, settings: BuildSettings, work_folder: Path
     def shrink(index: int, image: Image) -> None:
         small[index] = shrunk(image, settings.faceframe)
 
-    if settings.detector is None:
-        for index, image in same_size(source, pool):
-            shrink(index, image)
-        return _Survey((None,) * len(source.names), small)
-    found = yield from points_steps(source, settings.detector, work_folder, also=pool, look=shrink)
-    check_one_person(source.names, found, is_video=settings.is_video)
-    return _Survey(found, small)
+    given = None if settings.given is None else settings.given.faces
+    detector = settings.detector
+    track = yield from track_steps(source, detector, work_folder, given=given, also=pool, look=shrink)
+    check_one_person(source.names, track.faces, is_video=settings.is_video)
+    return _Survey(track, small)
 
 
 def _reference_pass(source: FrameSource, settings: BuildSettings, survey: _Survey) -> Steps[ReferenceChoice]:
@@ -267,7 +266,7 @@ def _reference_pass(source: FrameSource, settings: BuildSettings, survey: _Surve
             settings.reference, source.names[settings.reference], "named by the setting reference"
         )
     indices = sorted(survey.small)
-    faces = [survey.found[index] for index in indices]
+    faces = [survey.track.faces[index] for index in indices]
     if any(face is not None for face in faces):
         place, reason = nearest_to_neutral(faces)
     else:
@@ -312,17 +311,20 @@ def _plan(
     return plan, on_reference
 
 
-def _landmarks_document(
-    settings: BuildSettings, found: tuple[FacePoints | None, ...], choice: ReferenceChoice
-) -> dict[str, Any]:
-    """Describe the detection for the provenance: detector, frames with a face, and the face of the reference."""
-    return {
+def _landmarks_document(settings: BuildSettings, track: FaceTrack, choice: ReferenceChoice) -> dict[str, Any]:
+    """Describe the face points for the provenance: their sources, the head's pose, and the face of the reference."""
+    face = track.faces[choice.index]
+    found: dict[str, Any] = {
         "detector": dict(settings.detector.identity) if settings.detector else {},
-        "held": found[choice.index] is not None,
-        "frames": len(found),
-        "frames_with_face": sum(one is not None for one in found),
-        "reference_has_face": found[choice.index] is not None,
+        "held": face is not None,
+        "reference_has_face": face is not None,
+        **track.document(),
     }
+    if settings.given is not None:
+        found["given"] = dict(settings.given.origin)
+    if face is not None and track.given[choice.index]:
+        found["reference_points"] = [[float(x), float(y)] for x, y in face.points]
+    return found
 
 
 @dataclass(frozen=True, eq=False)
@@ -511,13 +513,14 @@ def _provenance_of_build(
 ) -> dict[str, Any]:
     """Return the provenance with the choices of the build."""
     digest = digest_of_array(plan.reference)
-    found = survey.found
     return {
         **provenance,
         "reference": {"frame": choice.name, "reason": choice.reason, "sha256": digest},
         "flow_start": settings.start,
         "mask_from": regions.origin_of_mask(settings.mask, settings.faceframe, on_reference.masked),
-        "landmarks": None if settings.detector is None else _landmarks_document(settings, found, choice),
+        "landmarks": None
+        if settings.detector is None
+        else _landmarks_document(settings, survey.track, choice),
         "components_asked": settings.components,
         "warp_weight_trials": [[trial.weight, trial.psnr_db] for trial in components.trials],
     }

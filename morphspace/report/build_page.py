@@ -285,6 +285,7 @@ def _settings(build: Build) -> list[tuple[str, Any]]:
         ("Reference picture, SHA-256", provenance.get("reference", {}).get("sha256", NOT_RECORDED)),
         ("Crop", _crop(model)),
         ("Face points", _face_points(build)),
+        ("Turn of the head", _pose(build)),
         ("Registration", model.registration),
         ("Flow", model.flow),
         ("Second start for hard frames", provenance.get("flow_start", NOT_RECORDED)),
@@ -331,11 +332,26 @@ def _crop(model: MorphModel) -> str:
 
 def _face_points(build: Build) -> str:
     """Describe in how many frames the face was found."""
-    if build.faces_found is None:
+    if build.track is None:
         return "not searched"
-    found, count = int(build.faces_found.sum()), len(build.faces_found)
-    without = "" if found == count else "; no face points were used in the others"
-    return f"found in {found} of {count} frames{without}"
+    found = int((build.track.known & ~build.track.given).sum())
+    count, given = len(build.track.faces), int(build.track.given.sum())
+    taken = f"given for {given} and found in {found}" if given else f"found in {found}"
+    without = "" if found + given == count else "; the flow of the others is not held"
+    return f"{taken} of {count} frames{without}"
+
+
+def _pose(build: Build) -> str:
+    """Describe the range of the head's turn."""
+    pose = None if build.track is None else build.track.pose_deg
+    if pose is None or np.isnan(pose[:, :2]).all():
+        return NOT_RECORDED
+    low, high = np.nanmin(pose, axis=0), np.nanmax(pose, axis=0)
+    return "; ".join(
+        f"{name} {fixed(low[place], 0)} to {fixed(high[place], 0)} degrees"
+        for place, name in enumerate(("yaw", "pitch", "roll"))
+        if np.isfinite(low[place])
+    )
 
 
 def _faceframe(model: MorphModel) -> str:

@@ -277,15 +277,20 @@ def _found_lines(build: Build) -> tuple[str, ...]:
         search = framing["crop_found"]
         box = ",".join(map(str, framing["crop"]))
         lines += (f"crop {box}: around the head, found in {search['found']} of {search['frames']} frames",)
-    if build.faces_found is not None:
+    if (track := build.track) is not None:
         keypoints = "set" if build.model.faceframe is not None else "not set"
         if build.model.faceframe is not None and build.model.landmarks is None:
             keypoints += (
                 " as marked, landmarks not learned: `morphspace keypoints MODEL --auto` sets and learns both"
             )
-        found, frames = int(build.faces_found.sum()), len(build.faces_found)
+        found, given, frames = (
+            int((track.known & ~track.given).sum()),
+            int(track.given.sum()),
+            len(track.faces),
+        )
+        taken = f"given for {given} and found in {found}" if given else f"found in {found}"
         held = "the flow is held to it" if was_held(build.model.provenance) else "the flow is not held to it"
-        lines += (f"face found in {found} of {frames} frames, {held}; keypoints {keypoints}",)
+        lines += (f"face {taken} of {frames} frames, {held}; keypoints {keypoints}",)
     return lines
 
 
@@ -310,7 +315,9 @@ def build_document(made: WrittenModel) -> dict[str, Any]:
         "flow_confidence_lowest": float(build.confidences.min()),
         "neighbour_starts": int(build.from_neighbour.sum()),
         "crop": model.provenance["framing"]["crop"],
-        "frames_with_face": None if build.faces_found is None else int(build.faces_found.sum()),
+        "frames_with_face": None if build.track is None else int(build.track.known.sum()),
+        "frames_given": None if build.track is None else int(build.track.given.sum()),
+        "frames_turned": None if build.track is None else len(build.track.turned()),
         "keypoints": None if model.faceframe is None else model.faceframe.points.tolist(),
     }
 

@@ -5,10 +5,18 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
+from threadpoolctl import threadpool_limits
 
 from morphspace.errors import BadInput
 from morphspace.face import anchor
-from morphspace.face.anchor import FaceAnchor, _anchor_on, anchor_of_build, rigid_movement, spline_from
+from morphspace.face.anchor import (
+    HELD,
+    FaceAnchor,
+    _distance_px,
+    anchor_of_build,
+    rigid_movement,
+    spline_from,
+)
 from morphspace.face.detector import Detector, MissingModels
 from morphspace.face.faceframe import Frame, identity_affine
 from morphspace.face.mesh import FACE_OUTLINE, INNER_LIPS, OUTER_LIPS, POINT_COUNT, RIGHT_LIDS, FacePoints
@@ -60,6 +68,23 @@ def test_the_spline_fits_pictures_of_any_size(size):
     field = spline_from(places, height, width)(moved)
     assert field.shape == (height, width, 2) and field.dtype == np.float32
     assert np.abs(warp.move_points(field, places) - moved).max() < 0.3  # px: cubic between points 4 px apart
+
+
+def test_the_spline_has_the_same_bytes_for_any_number_of_cores():
+    places = 3 * points()[list(HELD)]
+    fields = []
+    for threads in (1, 2):
+        with threadpool_limits(limits=threads, user_api="blas"):
+            fields.append(spline_from(places, 3 * HEIGHT, 3 * WIDTH)(places + np.sin(places)))
+    assert_array_equal(fields[1], fields[0])
+
+
+def test_distances_are_roots_of_whole_numbers_to_the_last_bit(drawn_anna):
+    """OpenCV's are off by 4e-6 px, and not by the same from call to call."""
+    height, width = drawn_anna.model.mask.shape
+    found = _distance_px(drawn_anna.points(), (FACE_OUTLINE,), height, width)
+    assert found.max() > 5 and found.min() == 0
+    assert_array_equal(found, np.sqrt(np.round(found.astype(np.float64) ** 2)).astype(np.float32))
 
 
 MOVEMENT = np.array([[0.98, -0.17, 12.0], [0.17, 0.98, -4.0]])  # a similarity: turn of 10 degrees and a shift
@@ -169,10 +194,6 @@ def test_a_frame_without_a_face_goes_to_the_flow_as_it_is(picture):
     assert seen[0] is frame and (flow.displacement == (1.0, 0.0)).all()
 
 
-def test_a_reference_without_a_face_anchors_nothing(picture):
-    assert _anchor_on(picture(HEIGHT, WIDTH), BLIND) is None
-
-
 HELD_BUILD = {"landmarks": {"reference_has_face": True, "held": True}}
 
 
@@ -219,6 +240,14 @@ def test_a_model_built_with_face_points_refuses_to_read_without_the_networks(
         held.encode(model.reference)
     plain = replace(model, registration="similarity").encode(model.reference)
     assert_array_equal(held.by_flow_alone().encode(model.reference).values, plain.values)  # bytes
+
+
+def test_points_that_were_given_for_the_reference_are_those_of_the_anchor(model, monkeypatch):
+    monkeypatch.setattr(anchor, "load_detector", lambda person: BLIND)
+    given = {"landmarks": {**HELD_BUILD["landmarks"], "reference_points": points().tolist()}}
+    assert_array_equal(anchor_of_build(model.reference, given).face.points, points())
+    with pytest.raises(BadInput, match="no face in the reference"):
+        anchor_of_build(model.reference, HELD_BUILD)
 
 
 def test_a_model_of_the_former_anchored_builds_is_built_again(model):

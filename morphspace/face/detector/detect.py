@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 from typing import Any, Literal, get_args
@@ -43,6 +43,7 @@ from morphspace.face.mesh import (
     RIGHT_LIDS,
     SCHEME,
     FacePoints,
+    confidence_of,
 )
 
 Landmarks = Literal["auto", "none"]
@@ -212,11 +213,12 @@ def _find_face(pool: NetworkPool, person: Person, image: Image) -> FacePoints | 
         meshed = _find_mesh(networks.mesh, image, _crop_of_box(face))
         if meshed is None:
             return None
-        points, depth = _with_irises(networks.iris, image, *meshed)
-    if not (np.isfinite(points).all() and np.isfinite(depth).all()):
+        found = _with_irises(networks.iris, image, meshed)
+    if not np.isfinite(found).all():
         return None
     middles = np.array([other.middle for other in others]).reshape(-1, 2)
-    return FacePoints(points, face.score, depth=depth, others=middles)
+    points = FacePoints(found[:, :2].copy(), face.score, depth=found[:, 2].copy(), others=middles)
+    return replace(points, confidence=confidence_of(found[:, 3], points.interocular_px))
 
 
 def _find_boxes(networks: NetworkSet, image: Image) -> list[FaceBox]:
@@ -252,12 +254,12 @@ def _crop_of_box(face: FaceBox) -> Crop:
     return Crop((float(x), float(y)), ENLARGED * extent, float(np.arctan2(step[1], step[0])), attention.SIDE)
 
 
-def _find_mesh(network: AttentionMesh, image: Image, crop: Crop) -> tuple[Points, AnyArray] | None:
-    """Return points (478, 2) and depth (478,), with the mesh in the first 468, or None without a face.
+def _find_mesh(network: AttentionMesh, image: Image, crop: Crop) -> AnyArray | None:
+    """Return x, y, depth and the distance of two readings, px: (478, 4), with the mesh in the first 468.
 
-    The first crop only places the second. The second is read straight and mirrored, and both are averaged. That
-    reduces the effect of small shifts and noise on eyes, philtrum and lips by a third, and a mirrored face gives
-    mirrored points.
+    None without a face. The first crop only places the second. The second is read straight and mirrored, and both are
+    averaged. That reduces the effect of small shifts and noise on eyes, philtrum and lips by a third, and a mirrored
+    face gives mirrored points.
     """
     first = _mesh_of(network.rough(crop.cut(image)))
     if first is None:
@@ -274,10 +276,11 @@ def _find_mesh(network: AttentionMesh, image: Image, crop: Crop) -> tuple[Points
     mirrored = mirrored[list(OPPOSITE)]
     mirrored[:, 0] = attention.SIDE - 1 - mirrored[:, 0]
     mesh = (straight + mirrored) / 2
-    points, depth = np.zeros((POINT_COUNT, 2)), np.zeros(POINT_COUNT)
-    points[:MESH_COUNT] = crop.in_image(mesh[:, :2])
-    depth[:MESH_COUNT] = crop.scale * mesh[:, 2]
-    return points, depth
+    found = np.zeros((POINT_COUNT, 4))
+    found[:MESH_COUNT, :2] = crop.in_image(mesh[:, :2])
+    found[:MESH_COUNT, 2] = crop.scale * mesh[:, 2]
+    found[:MESH_COUNT, 3] = crop.scale * np.hypot(*(straight - mirrored)[:, :2].T)
+    return found
 
 
 def _mesh_of(answer: tuple[AnyArray, float]) -> Points | None:
@@ -312,21 +315,21 @@ _LEFT_IRIS_MIRRORED = tuple(LEFT_IRIS[place] for place in (0, 3, 2, 1, 4))
 EYES = (Eye(RIGHT_LIDS, RIGHT_IRIS, mirrored=False), Eye(LEFT_LIDS, _LEFT_IRIS_MIRRORED, mirrored=True))
 
 
-def _with_irises(network: Network, image: Image, points: Points, depth: AnyArray) -> tuple[Points, AnyArray]:
-    """Replace lids and irises by those of the iris network: points (478, 2) px and depth (478,).
+def _with_irises(network: Network, image: Image, meshed: AnyArray) -> AnyArray:
+    """Replace lids and irises of a mesh (478, 4) by those of the iris network.
 
     The lid opening comes from the iris network alone, since the mesh hardly follows a blink. Positions along the eye
     are averaged over both networks, since the errors of the corners have opposite signs. The iris takes the mean
-    depth of its lids, as in MediaPipe; the lids keep the mesh's depth.
+    depth of its lids, as in MediaPipe, and the mean distance of their two readings; the lids keep those of the mesh.
     """
-    points, depth = points.copy(), depth.copy()
+    found = meshed.copy()
     for eye in EYES:
-        crop = eye.crop(points)
+        crop = eye.crop(found[:, :2])
         contour, iris = network.answer(crop.cut(image))
-        meshed = points[list(eye.lids)]
+        of_mesh = found[list(eye.lids), :2]
         lids = crop.in_image(contour.reshape(-1, 3)[list(LID_ORDER), :2].astype(np.float64))
         line = np.array([np.cos(crop.turn_rad), np.sin(crop.turn_rad)])
-        points[list(eye.lids)] = lids + MESH_SHARE * np.outer((meshed - lids) @ line, line)
-        points[list(eye.iris)] = crop.in_image(iris.reshape(-1, 3)[:, :2].astype(np.float64))
-        depth[list(eye.iris)] = depth[list(eye.lids)].mean()
-    return points, depth
+        found[list(eye.lids), :2] = lids + MESH_SHARE * np.outer((of_mesh - lids) @ line, line)
+        found[list(eye.iris), :2] = crop.in_image(iris.reshape(-1, 3)[:, :2].astype(np.float64))
+        found[list(eye.iris), 2:] = found[list(eye.lids), 2:].mean(axis=0)
+    return found

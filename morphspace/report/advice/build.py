@@ -13,6 +13,7 @@ from typing import Literal
 import numpy as np
 
 from morphspace.arrays import Affine, AnyArray
+from morphspace.face.mesh import MAX_TURN_DEG
 from morphspace.flow.baselines import LUMA
 from morphspace.model.passes import Build
 from morphspace.report.frames import FrameFigures
@@ -164,26 +165,39 @@ def _exposure_changed(case: Case) -> Iterator[str]:
 
 
 def _face_not_found(case: Case) -> Iterator[str]:
-    found = case.build.faces_found
-    if found is None or found.all():
+    if case.build.track is None or case.build.track.known.all():
         return
-    missing = np.flatnonzero(~found)
-    if not found.any():
+    missing = np.flatnonzero(~case.build.track.known)
+    if len(missing) == len(case.names):
         yield (
             "The detector found a face in no frame, so this build uses no face points. If the clip shows a face, crop "
             "it closer (--crop auto, or a box)."
         )
         return
     yield (
-        f"The detector found no face in {_frames(len(missing))} ({case.named(missing)}), which were used without face "
-        "points. Leave out frames in which a hand covers the face or the head is turned away."
+        f"The detector found no face in {_frames(len(missing))} ({case.named(missing)}), whose flow is not held. Leave "
+        "out frames in which a hand covers the face or the head is turned away, or give their points (`morphspace "
+        "track`)."
+    )
+
+
+def _face_turned(case: Case) -> Iterator[str]:
+    """Advise if the head is turned out of the picture further than a face can be compared."""
+    track = case.build.track
+    if track is None or not len(over := track.turned()):
+        return
+    yaw, pitch, _ = track.pose_deg[over[0]]
+    yield (
+        f"In {_frames(len(over))} ({case.named(over)}) the head is turned by more than {MAX_TURN_DEG:.0f} degrees, the "
+        f"most in {case.named(over[:1])} (yaw {yaw:+.0f}, pitch {pitch:+.0f}): its far side is hidden, and no movement "
+        "in the picture undoes a turn. Leave these frames out, or film with the head facing the camera."
     )
 
 
 def _face_small(case: Case) -> Iterator[str]:
     """Advise if the eyes are so near to each other that the face fills little of the frame."""
     model = case.build.model
-    if case.build.faces_found is None or model.faceframe is None:
+    if case.build.track is None or model.faceframe is None:
         return
     right, left, _ = model.faceframe.points
     share = float(np.hypot(*(left - right))) / model.size[0]
@@ -328,7 +342,8 @@ RULES: tuple[tuple[str, Level, Callable[[Case], Iterator[str]]], ...] = (
     ("head_moved", "mend", _head_moved),
     ("head_turned", "mend", _head_turned),
     ("exposure", "mend", _exposure_changed),
-    ("face", "consider", _face_not_found),
+    ("face", "mend", _face_not_found),
+    ("face_turned", "mend", _face_turned),
     ("face_small", "mend", _face_small),
     ("mouth_closed", "mend", _mouth_closed),
     ("folds", "mend", _frames_fold),

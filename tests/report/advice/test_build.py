@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from morphspace.face.faceframe import FaceFrame
+from morphspace.face.track import FaceTrack
 from morphspace.model.morph import Morph
 from morphspace.report.advice.build import Case, advice_for, head_path
 from morphspace.report.build_page import build_page
@@ -15,6 +16,30 @@ SIZE = (64, 80)  # of the build's frames, px
 
 def rules(found):
     return {advice.rule for advice in found}
+
+
+def track_of(case, turns, turned_face):
+    """A track whose faces have these turns (yaw, pitch), degrees; None is no face."""
+    faces = tuple(None if turn is None else turned_face(yaw_deg=turn[0], pitch_deg=turn[1]) for turn in turns)
+    return FaceTrack(case.names, faces, np.zeros(len(faces), bool))
+
+
+def test_frames_without_a_face_and_turned_ones_are_named_the_most_turned_first(clean, turned_face):
+    turns = [(0, 0)] * len(clean.names)
+    turns[2], turns[5], turns[4] = (24, 0), (-30, 0), None
+    found = advice_for(replace(clean, build=replace(clean.build, track=track_of(clean, turns, turned_face))))
+    texts = {advice.rule: advice.text for advice in found}
+    assert set(texts) == {"face", "face_turned"}
+    assert f"no face in one frame ({clean.names[4]})" in texts["face"]
+    assert (
+        f"2 frames ({clean.names[5]}, {clean.names[2]}) the head is turned by more than 20"
+        in texts["face_turned"]
+    )
+    assert f"the most in {clean.names[5]} (yaw -30, pitch " in texts["face_turned"]
+    page = build_page(clean.build, clean.figures)
+    assert "not searched" in page
+    seen = build_page(replace(clean.build, track=track_of(clean, turns, turned_face)), clean.figures)
+    assert "yaw -30 to 24 degrees" in seen.replace("\u2212", "-")
 
 
 def test_clean_build_gets_no_advice(clean):
@@ -118,12 +143,12 @@ def test_mask_without_texture_is_told(clean):
 
 
 @pytest.mark.parametrize(("share", "found"), [(0.19, set()), (0.17, {"face_small"})])
-def test_a_face_is_small_where_its_eyes_are_nearer_than_their_least_share(clean, share, found):
+def test_a_face_is_small_where_its_eyes_are_nearer_than_their_least_share(clean, share, found, turned_face):
     """EYES_LEAST_SHARE, of the frame's width."""
     frame = FaceFrame.at(np.array([[20.0, 30], [20 + share * SIZE[0], 30], [25, 50]]))
     model = clean.build.model
     model = replace(model, faceframe=frame, provenance={**model.provenance, "framing": {}})
-    build = replace(clean.build, model=model, faces_found=np.ones(len(clean.names), bool))
+    build = replace(clean.build, model=model, track=track_of(clean, [(0, 0)] * len(clean.names), turned_face))
     assert rules(advice_for(Case(build, clean.figures))) == found
 
 
