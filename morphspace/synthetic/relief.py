@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import cv2
 import numpy as np
+from scipy import ndimage
 
 from morphspace.arrays import AnyArray, Points
 from morphspace.synthetic.fields import bump, smooth
@@ -43,7 +44,8 @@ def filled(curve: Points, x: AnyArray, y: AnyArray, softness: float = 0.0) -> An
 
 def depth_inside(cover: AnyArray, unit_px: float) -> AnyArray:
     """Compute how far inside a shape each pixel is, in face units, smoothed."""
-    inside = cv2.distanceTransform((cover > 0.5).astype(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
+    # OpenCV's exact transform differs in the last bits from call to call.
+    inside = ndimage.distance_transform_edt(cover > 0.5)
     return blurred(inside.astype(np.float32), 0.03 * unit_px) / np.float32(unit_px)
 
 
