@@ -99,6 +99,23 @@ class FaceTrack:
         return found
 
 
+def turn_words(track: Mapping[str, Any] | None) -> str:
+    """Describe the turn of the head from the JSON of a track; empty if it is unknown.
+
+    Examples
+    --------
+    >>> known = {"frames": 9, "frames_turned": 2, "yaw_deg": [-25, 3], "pitch_deg": [-2, 9], "roll_deg": [0, 4]}
+    >>> turn_words(known)
+    'yaw -25 to 3, pitch -2 to 9, roll 0 to 4 degrees; 2 of 9 frames are turned by more than 20'
+    """
+    if not track or "yaw_deg" not in track:
+        return ""
+    ranges = [(name, *track[f"{name}_deg"]) for name in ("yaw", "pitch", "roll")]
+    words = ", ".join(f"{name} {low:.0f} to {high:.0f}" for name, low, high in ranges)
+    far = f"{track['frames_turned']} of {track['frames']} frames are turned by more than {MAX_TURN_DEG:.0f}"
+    return f"{words} degrees; {far}"
+
+
 @dataclass(frozen=True, eq=False)
 class GivenPoints:
     """Face points of some frames from a file: `faces` by the names of frames, and the `origin` for the provenance."""

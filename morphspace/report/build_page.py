@@ -12,6 +12,7 @@ from markupsafe import Markup
 
 from morphspace.arrays import AnyArray
 from morphspace.face.regions import mouth_surroundings, rigid_region
+from morphspace.face.track import turn_words
 from morphspace.model.model import MorphModel
 from morphspace.model.passes import Build
 from morphspace.report import pictures
@@ -285,7 +286,7 @@ def _settings(build: Build) -> list[tuple[str, Any]]:
         ("Reference picture, SHA-256", provenance.get("reference", {}).get("sha256", NOT_RECORDED)),
         ("Crop", _crop(model)),
         ("Face points", _face_points(build)),
-        ("Turn of the head", _pose(build)),
+        ("Turn of the head", turn_words(build.model.provenance.get("landmarks")) or NOT_RECORDED),
         ("Registration", model.registration),
         ("Flow", model.flow),
         ("Second start for hard frames", provenance.get("flow_start", NOT_RECORDED)),
@@ -339,19 +340,6 @@ def _face_points(build: Build) -> str:
     taken = f"given for {given} and found in {found}" if given else f"found in {found}"
     without = "" if found + given == count else "; the flow of the others is not held"
     return f"{taken} of {count} frames{without}"
-
-
-def _pose(build: Build) -> str:
-    """Describe the range of the head's turn."""
-    pose = None if build.track is None else build.track.pose_deg
-    if pose is None or np.isnan(pose[:, :2]).all():
-        return NOT_RECORDED
-    low, high = np.nanmin(pose, axis=0), np.nanmax(pose, axis=0)
-    return "; ".join(
-        f"{name} {fixed(low[place], 0)} to {fixed(high[place], 0)} degrees"
-        for place, name in enumerate(("yaw", "pitch", "roll"))
-        if np.isfinite(low[place])
-    )
 
 
 def _faceframe(model: MorphModel) -> str:

@@ -41,21 +41,6 @@ def _faceframe_words(model: MorphModel) -> str:
     return f"{points} (px of the mean face)"
 
 
-def _turn_lines(model: MorphModel) -> tuple[str, ...]:
-    """Describe the turn of the head in the frames of the build, if it is known."""
-    entry = model.provenance.get("landmarks") or {}
-    if "yaw_deg" not in entry:
-        return ()
-    ranges = ", ".join(
-        f"{name} {low:.0f} to {high:.0f}"
-        for name in ("yaw", "pitch", "roll")
-        for low, high in (entry[f"{name}_deg"],)
-    )
-    return (
-        f"turn       {ranges} degrees; {entry['frames_turned']} of {entry['frames']} frames beyond the limit",
-    )
-
-
 def _registration_words(model: MorphModel) -> str:
     """Describe the alignment of the frames; blended pictures are drawn aligned."""
     if "blend" not in model.provenance:
@@ -82,6 +67,7 @@ def _blend_lines(model: MorphModel) -> tuple[str, ...]:
 
 def run(request: InfoRequest) -> Steps[Outcome]:
     """Read the model, check its digest, and describe it."""
+    from morphspace.face.track import turn_words
     from morphspace.model.keypoints import how_to_learn
     from morphspace.model.landmarks import error_summary
     from morphspace.model.model import load_model, points_document
@@ -112,7 +98,7 @@ def run(request: InfoRequest) -> Steps[Outcome]:
         f"consent    {origin.get('consent') or 'not recorded'}",
         f"licence    {origin.get('licence') or 'not recorded'}",
         "faceframe  " + _faceframe_words(model),
-        *_turn_lines(model),
+        *(f"turn       {words}" for words in (turn_words(origin.get("landmarks")),) if words),
         "landmarks  "
         + (
             f"not learned; `mimic --method guided` needs them: {how_to_learn(model, 'MODEL')}"

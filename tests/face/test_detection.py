@@ -330,6 +330,23 @@ def test_a_mirrored_face_gives_mirrored_points(detector, portrait, face):
 
 
 @pytest.mark.slow
+def test_points_behind_a_hand_are_less_sure(detector, portrait, face):
+    eye, cheek = face.points[list(LEFT_LIDS)].mean(axis=0), face.points[50].round().astype(int)
+    hidden = portrait.copy()
+    for finger in range(4):
+        centre = eye + (finger - 1.5) * np.array([0.2 * face.interocular_px, 0])
+        size = (0.1 * face.interocular_px, 0.6 * face.interocular_px)
+        colour = portrait[cheek[1], cheek[0]] * (0.8 + 0.1 * finger)
+        box = (tuple(map(float, centre)), tuple(2 * side for side in size), 10.0)
+        cv2.ellipse(hidden, box, colour.tolist(), -1)
+    found = detector(hidden)
+    assert (face.confidence > 0).all() and (face.confidence <= 1).all()
+    behind = np.hypot(*(face.points - eye).T) < 0.4 * face.interocular_px
+    assert np.median(found.confidence[behind]) < 0.7 * np.median(found.confidence[~behind])
+    assert np.median(face.confidence[behind]) > 0.9 * np.median(face.confidence[~behind])
+
+
+@pytest.mark.slow
 @pytest.mark.parametrize("angle_deg", [-30.0, 20.0])
 def test_points_turn_with_the_face(detector, portrait, face, angle_deg):
     height, width = portrait.shape[:2]

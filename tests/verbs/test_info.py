@@ -1,5 +1,7 @@
 """info: the loadings of the training frames as a table."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -32,3 +34,18 @@ def test_without_the_option_nothing_is_written(model, tmp_path):
     model.save(tmp_path / "a.morph")
     assert result_of(run(InfoRequest(tmp_path / "a.morph"))).written == ()
     assert [path.name for path in tmp_path.iterdir()] == ["a.morph"]
+
+
+def test_the_turn_of_the_head_is_told_where_the_build_found_it(model, tmp_path):
+    entry = {"yaw_deg": [-12.4, 3.0], "pitch_deg": [-2.0, 9.0], "roll_deg": [0.0, 4.0]}
+    entry |= {"frames": 9, "frames_turned": 2}
+    replace(model, provenance={**model.provenance, "landmarks": entry}).save(tmp_path / "a.morph")
+    lines = result_of(run(InfoRequest(tmp_path / "a.morph"))).lines
+    (line,) = [line for line in lines if line.startswith("turn ")]
+    assert (
+        "yaw -12 to 3, pitch -2 to 9, roll 0 to 4 degrees; 2 of 9 frames are turned by more than 20" in line
+    )
+    model.save(tmp_path / "b.morph")
+    assert not any(
+        line.startswith("turn ") for line in result_of(run(InfoRequest(tmp_path / "b.morph"))).lines
+    )
