@@ -13,7 +13,7 @@ Bookstein, Principal warps: thin-plate splines and the decomposition of deformat
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from math import ceil
@@ -78,13 +78,16 @@ class FaceAnchor:
     detector: Detector
     face: FacePoints
 
-    def held(self, find: FlowFunction, height: int, width: int) -> Callable[[Frame], Flow]:
+    def held(
+        self, find: FlowFunction, height: int, width: int, holding: Sequence[int] = HELD
+    ) -> Callable[[Frame], Flow]:
         """Return a function that estimates the flow to an aligned frame, held to the face points of the frame.
 
-        `find` estimates the remainder. It gets a frame without a face unchanged. The face is searched in a frame
-        whose points are None.
+        `find` estimates the remainder; it gets a frame without a face unchanged. The `holding` points of the mesh
+        hold the flow. The face is searched in a frame whose points are None.
         """
-        through = spline_from(self.face.points[list(HELD)], height, width)
+        places = list(holding)
+        through = spline_from(self.face.points[places], height, width)
         eyes_px = self.face.interocular_px
         lips_and_lids = (OUTER_LIPS, RIGHT_LIDS, LEFT_LIDS)
         free = np.minimum(_distance_px(self.face, lips_and_lids, height, width) / (HELD_AROUND * eyes_px), 1)
@@ -97,7 +100,7 @@ class FaceAnchor:
             if not len(points):
                 return find(frame.image, None)
             # Points of a turned head may change sides.
-            spline = unfolded(near * through(points[list(HELD)]))
+            spline = unfolded(near * through(points[places]))
             rest = find(warp.sample(frame.image, spline), None)
             length = np.maximum(np.hypot(*cv2.split(rest.displacement)) / most_px, TINY)
             beyond = rest.displacement * (free * np.tanh(length) / length)[..., None].astype(np.float32)

@@ -25,7 +25,7 @@ from morphspace.documents import (
 )
 from morphspace.errors import ModelFileError, UnreadableFile
 from morphspace.face.faceframe import RegistrationKind
-from morphspace.face.mesh import GROUPS, LANDMARKS
+from morphspace.face.mesh import FEATURES, GROUPS, LANDMARKS
 from morphspace.settings import Called
 from morphspace.storage import digest_of_array, digest_of_json, read_container
 
@@ -69,6 +69,18 @@ class GivenEntry(TypedDict):
 Range = Annotated[list[float], Len(2, 2), Called("[smallest, largest] in degrees")]
 
 
+Figures = Annotated[dict[str, float], Holds(FEATURES)]
+
+
+class CarriedEntry(TypedDict):
+    """How much of the expressions the warp carries, by feature, estimated from so many frames."""
+
+    frames: Annotated[int, Ge(1)]
+    left_over: Figures
+    slope: Figures
+    motion: Figures
+
+
 class SearchEntry(TypedDict, total=False):
     """The face points of a build: `reference_points` in px if they were given, the frames' pose if it is known."""
 
@@ -84,6 +96,7 @@ class SearchEntry(TypedDict, total=False):
     yaw_deg: Range
     pitch_deg: Range
     roll_deg: Range
+    carried: CarriedEntry
 
 
 class KeypointsEntry(TypedDict, total=False):

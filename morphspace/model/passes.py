@@ -30,6 +30,7 @@ from morphspace.grid import warp
 from morphspace.io.framing import FrameSource
 from morphspace.linear.pca import Basis, basis_from_gram, gram_matrix, mean_row
 from morphspace.linear.rows import RowFile, temporary_rows
+from morphspace.model.carried import Carried, carried_steps
 from morphspace.model.keypoints import detect_faceframe, with_detected
 from morphspace.model.loadings import Loadings
 from morphspace.model.model import MorphModel, model_digest
@@ -135,6 +136,8 @@ class Build:
         In the work folder.
     track : FaceTrack or None
         The face in each frame; None without a detector.
+    carried : Carried or None
+        How much of the expressions the warp carries; None if it cannot be estimated.
     """
 
     model: MorphModel
@@ -150,6 +153,7 @@ class Build:
     warnings: tuple[str, ...]
     frame_files: tuple[Path, ...] = field(repr=False)
     track: FaceTrack | None = None
+    carried: Carried | None = None
 
     def frame(self, index: int) -> tuple[Frame, Flow]:
         """Read aligned frame `index` and its flow from the reference."""
@@ -196,11 +200,15 @@ def build_steps(
     face = survey.track.faces[choice.index]
     plan, on_reference = _plan(source, settings, choice, face)
     files = yield from frame_steps(source, plan, work_folder, survey.track.faces)
+    carried = yield from carried_steps(plan, files)
     shape = _mean_shape(settings, plan, on_reference, files)
     with temporary_rows(work_folder, len(files), CHANNELS * plan.mask.size) as rows:
         measured = yield from _morph_pass(rows, files, shape)
         components = yield from _component_pass(rows, files, shape.mask, settings)
-    document = _provenance_of_build(provenance, settings, survey, choice, plan, on_reference, components)
+    searched = (
+        None if settings.detector is None else _landmarks_document(settings, survey.track, choice, carried)
+    )
+    document = _provenance_of_build(provenance, settings, searched, choice, plan, on_reference, components)
     model = _model(source.names, settings, plan, on_reference, shape, components, document)
     warnings = _warnings(source, choice, model) + several_notes(source.names, survey.track.faces)
     model, without_keypoints = yield from _keypoint_pass(model, settings)
@@ -218,6 +226,7 @@ def build_steps(
         warnings=warnings + without_keypoints,
         frame_files=tuple(files),
         track=None if settings.detector is None else survey.track,
+        carried=carried,
     )
 
 
@@ -311,7 +320,9 @@ def _plan(
     return plan, on_reference
 
 
-def _landmarks_document(settings: BuildSettings, track: FaceTrack, choice: ReferenceChoice) -> dict[str, Any]:
+def _landmarks_document(
+    settings: BuildSettings, track: FaceTrack, choice: ReferenceChoice, carried: Carried | None
+) -> dict[str, Any]:
     """Describe the face points for the provenance: their sources, the head's pose, and the face of the reference."""
     face = track.faces[choice.index]
     found: dict[str, Any] = {
@@ -319,6 +330,7 @@ def _landmarks_document(settings: BuildSettings, track: FaceTrack, choice: Refer
         "held": face is not None,
         "reference_has_face": face is not None,
         **track.document(),
+        **({} if carried is None else {"carried": carried.document()}),
     }
     if settings.given is not None:
         found["given"] = dict(settings.given.origin)
@@ -505,7 +517,7 @@ def _component_pass(
 def _provenance_of_build(
     provenance: Mapping[str, Any],
     settings: BuildSettings,
-    survey: _Survey,
+    searched: Mapping[str, Any] | None,
     choice: ReferenceChoice,
     plan: FramePlan,
     on_reference: _OnReference,
@@ -518,9 +530,7 @@ def _provenance_of_build(
         "reference": {"frame": choice.name, "reason": choice.reason, "sha256": digest},
         "flow_start": settings.start,
         "mask_from": regions.origin_of_mask(settings.mask, settings.faceframe, on_reference.masked),
-        "landmarks": None
-        if settings.detector is None
-        else _landmarks_document(settings, survey.track, choice),
+        "landmarks": searched,
         "components_asked": settings.components,
         "warp_weight_trials": [[trial.weight, trial.psnr_db] for trial in components.trials],
     }

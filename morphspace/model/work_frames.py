@@ -19,7 +19,7 @@ from typing import Any, Literal
 import cv2
 import numpy as np
 
-from morphspace.arrays import AnyArray, Image, Mask
+from morphspace.arrays import AnyArray, Image, Mask, Points
 from morphspace.cache import is_finished, read_result, result_file, write_result
 from morphspace.face.anchor import FaceAnchor, points_of, rigid_movement
 from morphspace.face.faceframe import Frame, RegistrationKind, aligned, identity_affine
@@ -202,6 +202,12 @@ def read_work_frame(file: Path, name: str = "") -> WorkFrame:
     frame = Frame(np.array(arrays["image"]), name, np.array(arrays["registration"]), points)
     flow = Flow(np.array(arrays["flow"]), np.array(arrays["confidence"]))
     return WorkFrame(frame, flow, document["start"])
+
+
+def read_points(file: Path) -> Points | None:
+    """Read only the face points of an aligned frame, as in `Frame`. Raises `UnreadableFile`."""
+    points = read_result(file)[0].get("points")
+    return None if points is None else np.array(points)
 
 
 def read_aligned(file: Path) -> Image:

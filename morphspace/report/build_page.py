@@ -11,8 +11,10 @@ import numpy as np
 from markupsafe import Markup
 
 from morphspace.arrays import AnyArray
+from morphspace.face.mesh import FEATURES
 from morphspace.face.regions import mouth_surroundings, rigid_region
 from morphspace.face.track import turn_words
+from morphspace.model.carried import FRAMES
 from morphspace.model.model import MorphModel
 from morphspace.model.passes import Build
 from morphspace.report import pictures
@@ -67,6 +69,8 @@ class BuildPage:
     confidence_map: Markup | None
     confidence_range: str
     flow_plots: Sequence[Panel]
+    carried: Sequence[tuple[str, ...]]
+    carried_frames: int
     folded_frames: int
     fold_maps: Sequence[Panel]
     movement_plots: Sequence[Panel]
@@ -146,6 +150,8 @@ def build_page(build: Build, figures: FrameFigures, *, source_size: tuple[int, i
             ),
             _curve(build, "Motion", "px rms", build.motion_px, LEAST_RANGE_PX, 0.0),
         ],
+        carried=_carried(build),
+        carried_frames=FRAMES,
         folded_frames=int((figures.fold_fractions > 0).sum()),
         fold_maps=_fold_maps(model, figures.fold_fractions),
         movement_plots=_movement_plots(build, figures),
@@ -193,6 +199,14 @@ def _marked(model: MorphModel, mean: AnyArray) -> Markup:
             lines += markup('<circle cx="{x}" cy="{y}" r="2.2"/>', x=f"{x:.1f}", y=f"{y:.1f}")
     photograph = pictures.photograph(mean, "Mean face with the outlines of mask, rigid part and mouth")
     return pictures.drawn_over(photograph, mean, lines)
+
+
+def _carried(build: Build) -> list[tuple[str, ...]]:
+    """Return a row for each feature: left over, slope by the warp alone, and motion."""
+    if build.carried is None:
+        return []
+    figures = (build.carried.left_over, build.carried.slopes, build.carried.motion)
+    return [(name, *(f"{value:.2f}" for value in row)) for name, *row in zip(FEATURES, *figures, strict=True)]
 
 
 def _sheet(build: Build, figures: FrameFigures) -> list[Panel]:

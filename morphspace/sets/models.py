@@ -19,6 +19,7 @@ from morphspace.face.detector import Detector, Person, how_to_get_networks, pers
 from morphspace.flow import methods
 from morphspace.io.clips import VIDEO_SUFFIXES, Clip, open_clip
 from morphspace.io.framing import FramedClip, Framing
+from morphspace.model.carried import quality_lines
 from morphspace.model.file import read_model_file
 from morphspace.model.from_clip import ClipSettings, build_clip, default_size
 from morphspace.model.keypoints import detect_faceframe, how_to_learn, with_detected
@@ -253,7 +254,7 @@ def build_lines(made: WrittenModel, output: Path, report: Path) -> tuple[str, ..
         f"{output}: {model.identity}, {len(model.training.frame_names)} frames, {model.size[0]}x{model.size[1]}, "
         f"{model.rank} components ({share:.1%} of the variance)",
         f"reference {build.choice.name}: {build.choice.reason}",
-        *_held_out_lines(build),
+        *quality_lines(model.provenance),
         f"training frames are reconstructed at {np.median(psnr):.1f} dB (median), {np.percentile(psnr, 10):.1f} dB "
         f"(10th percentile); {build.fold_fractions.mean():.2%} of the warp folds",
         f"flow {model.flow}: confidence {build.confidences.mean():.2f} (mean), {build.confidences.min():.2f} (lowest); "
@@ -261,12 +262,6 @@ def build_lines(made: WrittenModel, output: Path, report: Path) -> tuple[str, ..
         *_found_lines(build),
         f"report: {report}",
     )
-
-
-def _held_out_lines(build: Build) -> tuple[str, ...]:
-    if build.held_out_db is None:
-        return ()
-    return (f"frames left out of the components are reconstructed at {build.held_out_db:.1f} dB (mean)",)
 
 
 def _found_lines(build: Build) -> tuple[str, ...]:
@@ -308,6 +303,7 @@ def build_document(made: WrittenModel) -> dict[str, Any]:
         "reference": build.choice.name,
         "warp_weight": model.warp_weight,
         "psnr_db_held_out": build.held_out_db,
+        "carried": None if build.carried is None else build.carried.document(),
         "psnr_db_median": float(np.median(psnr)),
         "psnr_db_10th_percentile": float(np.percentile(psnr, 10)),
         "fold_fraction": float(build.fold_fractions.mean()),

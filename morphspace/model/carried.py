@@ -1,0 +1,197 @@
+"""How much of an expression the warp carries, estimated at face points that were left out of the hold (ours).
+
+The held flow follows the face points that hold it by construction. So the field of some frames is estimated again with
+two thirds of the points, and the last third judges it. *Left over* is the motion of these points that the field misses,
+as a share of their motion: 0 if the field follows them. *Slope* is the regression of the motion by the field on the
+motion in the frames: 1 if the warp alone makes the expression.
+
+The same detector reads the points that hold and the points that judge. An error that it makes in both is not seen.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from morphspace.arrays import AnyArray, Displacement
+from morphspace.cache import is_finished, read_result, result_file, write_result
+from morphspace.face.anchor import HELD
+from morphspace.face.mesh import FEATURES, GROUPS, POINT_COUNT
+from morphspace.flow import methods
+from morphspace.grid import warp
+from morphspace.model.work_frames import FramePlan, read_points, read_work_frame
+from morphspace.steps import Step, Steps, in_order
+
+CARRIED_FORMAT = "morphspace-carried-1"
+THIRDS = 3  # every third point of a feature is left out; all are, in turn
+FRAMES = 9  # frames that are estimated again, three for each third: an eighth of the time of 72 frames
+
+
+@dataclass(frozen=True, eq=False)
+class Carried:
+    """The figures of each of the `FEATURES` (4,), estimated from so many frames.
+
+    Attributes
+    ----------
+    left_over, slopes : array (4,)
+    motion : array (4,), eye distances
+        The motion of each feature, rms; a left over of 1 of hardly any motion is the detector's noise.
+    frames : int
+    """
+
+    left_over: AnyArray
+    slopes: AnyArray
+    motion: AnyArray
+    frames: int
+
+    def document(self) -> dict[str, Any]:
+        """Return the figures as JSON, rounded to three digits."""
+        figures = {"left_over": self.left_over, "slope": self.slopes, "motion": self.motion}
+        return {
+            "frames": self.frames,
+            **{
+                name: dict(zip(FEATURES, values.round(3).tolist(), strict=True))
+                for name, values in figures.items()
+            },
+        }
+
+
+def quality_lines(provenance: Mapping[str, Any]) -> tuple[str, ...]:
+    """Describe by its provenance how well a model reconstructs frames left out, and how much its warp carries.
+
+    Examples
+    --------
+    >>> quality_lines({"warp_weight_trials": [[0.02, 38.1], [0.05, 38.24]]})
+    ('frames left out of the components are reconstructed at 38.2 dB (mean)',)
+    """
+    trials = provenance.get("warp_weight_trials")
+    best_db = max((psnr for _, psnr in trials), default=None) if trials else None
+    lines = (
+        ()
+        if best_db is None
+        else (f"frames left out of the components are reconstructed at {best_db:.1f} dB (mean)",)
+    )
+    entry = (provenance.get("landmarks") or {}).get("carried")
+    if entry is None:
+        return lines
+    left, slopes = (
+        ", ".join(f"{name} {value:.2f}" for name, value in entry[kind].items())
+        for kind in ("left_over", "slope")
+    )
+    return (
+        *lines,
+        f"left over of the features' motion by the warp: {left} (0 is best)",
+        f"slope of their motion by the warp alone: {slopes} (1 is best); at points left out of the hold, "
+        f"{entry['frames']} frames",
+    )
+
+
+def left_out(third: int) -> tuple[int, ...]:
+    """Return the points of the mesh that one of `THIRDS` leaves out: every third of each feature.
+
+    Lips are counted from different starts, so that no point and its neighbour on the other rim are left out together.
+
+    Examples
+    --------
+    >>> len(left_out(0)), len({*left_out(0), *left_out(1), *left_out(2)})
+    (31, 92)
+    """
+    return tuple(
+        place
+        for shift, name in enumerate(FEATURES)
+        for number, place in enumerate(GROUPS[name])
+        if (number + shift) % THIRDS == third
+    )
+
+
+def carried_steps(plan: FramePlan, files: Sequence[Path]) -> Steps[Carried | None]:
+    """Estimate the figures of a build with held flow; a generator of steps.
+
+    Parameters
+    ----------
+    plan : FramePlan
+        Of the build.
+    files : sequence of n Path
+        The frames in the work folder, which keeps what is estimated here too.
+
+    Returns
+    -------
+    Carried or None
+        None without held flow, or with a face in fewer than `FRAMES` frames besides the reference.
+    """
+    anchor = plan.anchor
+    if anchor is None:
+        return None
+    found = {
+        index: points
+        for index, points in enumerate(map(read_points, files))
+        if points is not None and points.shape == (POINT_COUNT, 2) and index != plan.reference_index
+    }
+    chosen = _most_different(found, anchor.face.points)
+    if len(chosen) < FRAMES:
+        return None
+    find = methods.for_morphs(plan.flow)(plan.reference)
+    height, width = plan.mask.shape
+    through = [
+        anchor.held(find, height, width, [place for place in HELD if place not in left_out(third)])
+        for third in range(THIRDS)
+    ]
+
+    def field(item: tuple[int, int]) -> Displacement:
+        number, index = item
+        kept = result_file(files[index].parent, CARRIED_FORMAT, files[index].stem, number % THIRDS)
+        if not is_finished(kept):
+            flow = through[number % THIRDS](read_work_frame(files[index]).frame)
+            write_result(kept, {"flow": flow.displacement}, {})
+        return np.array(read_result(kept)[0]["flow"])
+
+    true = np.full((FRAMES, POINT_COUNT, 2), np.nan)
+    made = true.copy()
+    for number, displacement in enumerate(in_order(field, enumerate(chosen))):
+        places = list(left_out(number % THIRDS))
+        true[number, places] = found[chosen[number]][places]
+        made[number, places] = warp.move_points(displacement, anchor.face.points[places])
+        yield Step("carried", number + 1, FRAMES)
+    return figures(true, made, anchor.face.interocular_px)
+
+
+def figures(true: AnyArray, made: AnyArray, eyes_px: float) -> Carried:
+    """Compute the figures from points in n frames, (n, 478, 2) px: read there, and carried there by the fields.
+
+    Points that do not judge a frame are nan in it. The eyes are `eyes_px` apart. Each point's motion is that about its mean over the frames.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> true = np.random.default_rng(0).normal(size=(9, 478, 2))
+    >>> half = figures(true, true / 2, eyes_px=50)
+    >>> half.slopes.tolist(), half.left_over.tolist()
+    ([0.5, 0.5, 0.5, 0.5], [0.5, 0.5, 0.5, 0.5])
+    """
+    left, slopes, motion = np.zeros((3, len(FEATURES)))
+    for row, name in enumerate(FEATURES):
+        at_feature = (points[:, list(GROUPS[name])] for points in (true, made))
+        moved, followed = (points - np.nanmean(points, axis=0) for points in at_feature)
+        total = np.nansum(moved**2)
+        left[row] = np.sqrt(np.nansum((moved - followed) ** 2) / total)
+        slopes[row] = np.nansum(moved * followed) / total
+        motion[row] = np.sqrt(2 * np.nanmean(moved**2)) / eyes_px
+    return Carried(left, slopes, motion, len(true))
+
+
+def _most_different(faces: dict[int, AnyArray], reference: AnyArray) -> list[int]:
+    """Choose up to `FRAMES` frames by their points: each differs most from the reference and those before it."""
+    places = [place for name in FEATURES for place in GROUPS[name]]
+    indices = list(faces)
+    shapes = np.array([faces[index][places] for index in indices]).reshape(len(indices), -1)
+    apart = np.linalg.norm(shapes - reference[places].reshape(-1), axis=1)
+    chosen: list[int] = []
+    while len(chosen) < min(FRAMES, len(indices)):
+        chosen.append(int(apart.argmax()))
+        apart = np.minimum(apart, np.linalg.norm(shapes - shapes[chosen[-1]], axis=1))
+        apart[chosen] = -1
+    return [indices[place] for place in chosen]
