@@ -162,7 +162,8 @@ def carried_steps(plan: FramePlan, files: Sequence[Path]) -> Steps[Carried | Non
 def figures(true: AnyArray, made: AnyArray, eyes_px: float) -> Carried:
     """Compute the figures from points in n frames, (n, 478, 2) px: read there, and carried there by the fields.
 
-    Points that do not judge a frame are nan in it. The eyes are `eyes_px` apart. Each point's motion is that about its mean over the frames.
+    Points that do not judge a frame are nan in it. The eyes are `eyes_px` apart. Motions are those of each point about
+    its mean over the frames.
 
     Examples
     --------

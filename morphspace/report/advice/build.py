@@ -13,7 +13,7 @@ from typing import Literal
 import numpy as np
 
 from morphspace.arrays import Affine, AnyArray
-from morphspace.face.mesh import MAX_TURN_DEG
+from morphspace.face.mesh import FEATURES, MAX_TURN_DEG
 from morphspace.flow.baselines import LUMA
 from morphspace.model.passes import Build
 from morphspace.report.frames import FrameFigures
@@ -32,6 +32,9 @@ MOUTH_CLOSED = 0.12  # of that reach; on six clips two shut references lay below
 MOUTH_SLIGHTLY_OPEN = (0.2, 0.6)  # of that reach; the paper asks for some teeth and a dark gap
 FOLD_SHARE = 0.01  # of the cells inside the mask; folds this large are seen as smears
 CONFIDENCE_LOW = 0.5  # mean inside the mask; below it more of the face is filled in than was found
+# On eight `tune` people features that move by .02 eye distances or more leave over .03 to .5 and have slopes from .75.
+CARRIED_MOTION = 0.02  # eye distances; of less, much is the detector's noise
+CARRIED_LEFT, CARRIED_SLOPE = 0.6, 0.6  # of a feature's motion; the warp then misses about half of it
 PSNR_LOW_DB = 30.0  # below it a rebuilt frame visibly differs from the original
 PSNR_MANY = 0.25  # of the frames; when so many are poor it is the model, not the frames
 MASK_LEAST_SHARE = 0.05  # of the frame; a face in so small a part has too few pixels
@@ -253,6 +256,25 @@ def _flow_unsure(case: Case) -> Iterator[str]:
         )
 
 
+def _painted_motion(case: Case) -> Iterator[str]:
+    """Advise if the warp misses the motion of a feature, which texture then paints."""
+    carried = case.build.carried
+    if carried is None:
+        return
+    moves = carried.motion >= CARRIED_MOTION
+    missed = moves & (carried.left_over > CARRIED_LEFT) & (carried.slopes < CARRIED_SLOPE)
+    if missed.any():
+        words = ", ".join(
+            f"{FEATURES[row]} (left over {carried.left_over[row]:.2f}, slope {carried.slopes[row]:.2f})"
+            for row in np.flatnonzero(missed)
+        )
+        yield (
+            f"The warp misses much of the motion of {words}: it is painted by texture, and will not be driven or "
+            "caricatured as motion. Choose a reference with parted lips and open eyes, leave out frames in which a "
+            "hand hides the face, or use larger frames."
+        )
+
+
 def _poor_reconstruction(case: Case) -> Iterator[str]:
     """Advise if frames drawn from all their loadings miss the original."""
     psnr = case.figures.psnr_db
@@ -348,6 +370,7 @@ RULES: tuple[tuple[str, Level, Callable[[Case], Iterator[str]]], ...] = (
     ("mouth_closed", "mend", _mouth_closed),
     ("folds", "mend", _frames_fold),
     ("confidence", "mend", _flow_unsure),
+    ("carried", "mend", _painted_motion),
     ("psnr", "mend", _poor_reconstruction),
     ("mask", "mend", _mask_misses_the_face),
     ("rank", "consider", _fewer_components),

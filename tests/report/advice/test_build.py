@@ -7,6 +7,7 @@ import pytest
 
 from morphspace.face.faceframe import FaceFrame
 from morphspace.face.track import FaceTrack
+from morphspace.model.carried import Carried
 from morphspace.model.morph import Morph
 from morphspace.report.advice.build import Case, advice_for, head_path
 from morphspace.report.build_page import build_page
@@ -44,6 +45,28 @@ def test_frames_without_a_face_and_turned_ones_are_named_the_most_turned_first(c
     page = build_page(replace(clean.build, model=model, track=track), clean.figures)
     assert "yaw -30 to 24, pitch" in page and f"2 of {len(turns)} frames are turned by more than 20" in page
     assert f"found in {len(turns) - 1} of {len(turns)} frames; the flow of the others is not held" in page
+
+
+def carried_with(left_over, slope, motion):
+    return Carried(
+        np.array([0.1, left_over, 0.1, 0.1]),
+        np.array([1, slope, 1, 1.0]),
+        np.array([0.1, motion, 0.1, 0.1]),
+        9,
+    )
+
+
+@pytest.mark.parametrize(
+    "figures, is_told", [((0.8, 0.3, 0.05), True), ((0.8, 0.3, 0.01), False), ((0.5, 0.9, 0.05), False)]
+)
+def test_motion_that_texture_paints_is_told_by_feature(clean, figures, is_told):
+    build = replace(clean.build, carried=carried_with(*figures))
+    found = {advice.rule: advice.text for advice in advice_for(replace(clean, build=build))}
+    assert set(found) == ({"carried"} if is_told else set())
+    assert not is_told or "motion of inner lips (left over 0.80, slope 0.30): it" in found["carried"]
+    page = build_page(build, clean.figures)
+    assert f"<td>{figures[0]:.2f}</td>" in page and "was not estimated" not in page
+    assert "was not estimated" in build_page(clean.build, clean.figures)
 
 
 def test_clean_build_gets_no_advice(clean):
