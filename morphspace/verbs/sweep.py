@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 from annotated_types import Ge, Gt, Le
 
@@ -40,6 +40,12 @@ class SweepRequest:
         Help("Largest amount, SD; the sweep goes from minus to plus it."),
     ] = 3.0
     steps: Annotated[int, Ge(2), Le(1000), Help("Number of pictures per component.")] = 7
+    warp_only: Annotated[
+        bool,
+        Help(
+            "Move the warp alone, with the colours of the mean face, as `caricature --texture-gain 0` does."
+        ),
+    ] = False
 
 
 def run(request: SweepRequest) -> Steps[Outcome]:
@@ -66,7 +72,7 @@ def plan(request: SweepRequest, model: MorphModel | None = None) -> Steps[Planne
     drawings = [
         drawing
         for component in range(count)
-        for drawing in _of_component(model, component, amounts_sd, request.amount_sd)
+        for drawing in _of_component(model, component, amounts_sd, request)
     ]
     notes = (
         ()
@@ -77,23 +83,31 @@ def plan(request: SweepRequest, model: MorphModel | None = None) -> Steps[Planne
 
 
 def _of_component(
-    model: MorphModel, component: int, amounts_sd: AnyArray, furthest_sd: float
+    model: MorphModel, component: int, amounts_sd: AnyArray, request: SweepRequest
 ) -> Iterator[Drawing]:
     import numpy as np
 
     from morphspace.stimuli.drawing import Drawing
     from morphspace.stimuli.sampling import along
 
-    name = f"pc{component + 1:03d}"
+    def drawing(name: str, moved_sd: AnyArray, variables: dict[str, float], **kinds: Any) -> Drawing:
+        if request.warp_only:
+            variables, kinds = (
+                {**variables, "texture_gain": 0.0},
+                {**kinds, "colour_sd": np.zeros_like(moved_sd)},
+            )
+        return Drawing(name, moved_sd, variables=variables, **kinds)
+
+    name = f"pc{component + 1:03d}{'_warp' if request.warp_only else ''}"
     for amount in amounts_sd.tolist():
         entries = {"component": component + 1, "amount_sd": amount}
-        yield Drawing(
-            f"{name}_{amount_words(amount)}sd", along(model, component, np.array([amount])), variables=entries
+        yield drawing(
+            f"{name}_{amount_words(amount)}sd", along(model, component, np.array([amount])), entries
         )
     phase = np.sin(2 * np.pi * np.arange(VIDEO_FRAMES) / VIDEO_FRAMES)
-    there_and_back = along(model, component, furthest_sd * phase)
+    there_and_back = along(model, component, request.amount_sd * phase)
     entries = {"component": component + 1}
-    yield Drawing(name, there_and_back, frame_rate_hz=FRAME_RATE_HZ, suffix=".mp4", variables=entries)
+    yield drawing(name, there_and_back, entries, frame_rate_hz=FRAME_RATE_HZ, suffix=".mp4")
 
 
 def amount_words(amount_sd: float) -> str:

@@ -31,7 +31,7 @@ from morphspace.steps import result_of
 from morphspace.stimuli.drawing import Drawing
 from morphspace.stimuli.image_statistics import image_statistics
 from morphspace.storage import digest_of_file
-from morphspace.verbs import caricature, grid, place, render, replay, sample
+from morphspace.verbs import caricature, grid, place, render, replay, sample, sweep
 from morphspace.verbs.caricature import CaricatureRequest
 from morphspace.verbs.encode import write_loadings
 from morphspace.verbs.grid import GridRequest
@@ -39,6 +39,7 @@ from morphspace.verbs.place import PlaceRequest
 from morphspace.verbs.render import RenderRequest
 from morphspace.verbs.replay import ReplayRequest
 from morphspace.verbs.sample import SampleRequest
+from morphspace.verbs.sweep import SweepRequest
 
 SCHEMA = json.loads(
     (Path(__file__).parents[2] / "data_spec" / "stimulus.schema.json").read_text(encoding="utf-8")
@@ -93,7 +94,16 @@ def lossless(folder):
     return folder / "lossless"
 
 
-@pytest.fixture(params=["pictures", "films", "lossless"])
+@pytest.fixture(scope="module")
+def warps(folder):
+    request = SweepRequest(
+        folder / "a.morph", folder / "warps", components=1, amount_sd=1.5, steps=2, warp_only=True
+    )
+    result_of(sweep.run(request))
+    return folder / "warps"
+
+
+@pytest.fixture(params=["pictures", "films", "lossless", "warps"])
 def any_set(request):
     return request.getfixturevalue(request.param)
 
@@ -110,6 +120,22 @@ def test_a_caricature_is_the_models_rendering_of_scaled_loadings(folder, picture
     expected = np.clip(model.render(2 * table.loadings_sd[3] * model.sd), 0, 1)
     shown = read_image(pictures / f"{table.frame_names[3]}_g2.png")
     assert np.abs(shown - expected).max() <= 0.501 / 255  # the rounding of an 8-bit file
+
+
+def test_a_sweep_of_the_warp_is_a_caricature_without_texture(folder, warps, tmp_path):
+    model = load_model(folder / "a.morph")
+    along = np.eye(1, model.rank) * model.sd
+    write_loadings(
+        tmp_path / "one.csv", Loadings(along, ("one",), model.model_id), model, folder / "a.morph", {}
+    )
+    request = CaricatureRequest(
+        folder / "a.morph", tmp_path / "out", tmp_path / "one.csv", gains=(1.5,), texture_gains=(0.0,)
+    )
+    result_of(caricature.run(request))
+    (same,) = (tmp_path / "out").glob("*.png")
+    np.testing.assert_array_equal(read_image(warps / "pc001_warp_+1.5sd.png"), read_image(same))
+    assert {row["texture_gain"] for row in rows_of(warps)} == {"0.0"}
+    assert (read_image(warps / "pc001_warp_-1.5sd.png") != read_image(same)).any()
 
 
 def test_every_sidecar_fits_the_schema(any_set):
@@ -151,7 +177,7 @@ def test_the_essentials_are_inside_the_file(any_set, folder):
     for row in rows_of(any_set):
         told = essentials_in(any_set / row["file"])
         assert told["model_id"] == load_model(folder / "a.morph").model_id == row["model_id"]
-        assert (told["verb"], told["consent"], told["licence"]) == ("caricature", "research", "CC0")
+        assert (told["verb"], told["consent"], told["licence"]) == (row["verb"], "research", "CC0")
 
 
 def test_the_loadings_table_of_a_set_renders_to_the_same_pictures(folder, pictures):
