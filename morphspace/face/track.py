@@ -26,10 +26,11 @@ from morphspace.io.framing import FrameSource, same_size
 from morphspace.steps import Step, Steps, in_order
 
 POINTS_FORMAT = "morphspace-frame-points-3"
-# Degrees from the clip's median pose at which the weight of a frame begins to fall, and at which it is 0. On eight
+# Degrees from the clip's median pose at which the weight of a frame begins to fall, and at which it is least. On eight
 # `tune` people a similarity leaves 2 % of the eye distance at the nose and the corners of the eyes below 2.5 degrees,
 # 5 % at 10, as much as expressions leave at most, and 10 % at 22.
 LITTLE_TURN_DEG, FAR_TURN_DEG = 10.0, 25.0
+LEAST_WEIGHT = 0.01  # such a frame hardly counts, and its loadings are still those of its face
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,17 +68,17 @@ class FaceTrack:
 
     @property
     def weights(self) -> AnyArray:
-        """The weight (n,) of each frame in a mean of frames, from 1 to 0: how much its view is that of the others.
+        """The weight (n,) of each frame in means and components: how much its view is that of the others.
 
         A similarity cannot undo a turn of the head out of the picture. The weight is 1 up to `LITTLE_TURN_DEG` from the
-        median yaw and pitch, and falls to 0 at `FAR_TURN_DEG`. It is 1 where the turn is unknown.
+        median yaw and pitch, and falls to `LEAST_WEIGHT` at `FAR_TURN_DEG`. It is 1 where the turn is unknown.
         """
         turn = self.pose_deg[:, :2]
         if np.isnan(turn).all():
             return np.ones(len(turn))
         off_deg = np.hypot(*(turn - np.nanmedian(turn, axis=0)).T)
         fallen = np.clip((off_deg - LITTLE_TURN_DEG) / (FAR_TURN_DEG - LITTLE_TURN_DEG), 0, 1)
-        return 1 - np.nan_to_num(fallen)
+        return np.maximum(1 - np.nan_to_num(fallen), LEAST_WEIGHT)
 
     def turned(self, limit_deg: float = MAX_TURN_DEG) -> AnyArray:
         """Return the frames whose yaw or pitch exceeds `limit_deg`, the most turned first, as indices (m,)."""

@@ -144,8 +144,10 @@ class InnerProducts:
         return total
 
 
-def mean_row(rows: ColumnBlocks) -> AnyArray:
+def mean_row(rows: ColumnBlocks, counts: AnyArray | None = None) -> AnyArray:
     """Compute the mean of the rows, (d,) float32, summed in float64.
+
+    `counts` (n,), all > 0, says how much each row counts; None counts them alike.
 
     Examples
     --------
@@ -157,7 +159,10 @@ def mean_row(rows: ColumnBlocks) -> AnyArray:
     n, d = rows.shape
     mean = np.empty(d, np.float32)
     for start, stop in column_ranges(n, 0, d):
-        mean[start:stop] = rows.columns(start, stop).mean(axis=0, dtype=np.float64)
+        block = rows.columns(start, stop)
+        mean[start:stop] = (
+            block.mean(axis=0, dtype=np.float64) if counts is None else counts @ block / counts.sum()
+        )
     return mean
 
 
@@ -258,9 +263,16 @@ def combine_rows(rows: ColumnBlocks, coefficients: AnyArray, mean: AnyArray, out
 
 
 def basis_from_gram(
-    rows: ColumnBlocks, mean: AnyArray, weight: AnyArray, gram: AnyArray, components: int
+    rows: ColumnBlocks,
+    mean: AnyArray,
+    weight: AnyArray,
+    gram: AnyArray,
+    components: int,
+    counts: AnyArray | None = None,
 ) -> tuple[Basis, LoadingTable]:
     """Compute the basis of the mean-relative rows and their loadings (n, k); the Gram matrix is overwritten.
+
+    `counts` are those of `mean_row`: a row that counts half shapes the components half as much.
 
     References
     ----------
@@ -278,15 +290,19 @@ def basis_from_gram(
     """
     n, d = rows.shape
     energy = float((np.square(mean, dtype=np.float64) * weight).sum())
+    root = np.ones(n) if counts is None else np.sqrt(counts)
+    number = max(float((root * root).sum()) - 1, 1)
+    gram *= root
+    gram *= root[:, None]
     total = float(np.trace(gram))
     coefficients, eigenvalues = principal_axes(gram, components, energy)
     k = len(eigenvalues)
     out = np.empty((k, d), np.float32)
-    combine_rows(rows, coefficients, mean, out)
+    combine_rows(rows, coefficients * root, mean, out)
     dimensions = max(1, int((weight > 0).sum()) - k)
-    discarded = max(0.0, total - float(eigenvalues.sum())) / max(n - 1, 1) / dimensions
-    loadings = (coefficients * eigenvalues[:, None]).T
-    return Basis(out, eigenvalues / max(n - 1, 1), weight, discarded), loadings
+    discarded = max(0.0, total - float(eigenvalues.sum())) / number / dimensions
+    loadings = (coefficients * (eigenvalues[:, None] / root)).T
+    return Basis(out, eigenvalues / number, weight, discarded), loadings
 
 
 def fit_basis(rows: ColumnBlocks, weight: AnyArray, components: int) -> tuple[AnyArray, Basis, LoadingTable]:

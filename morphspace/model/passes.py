@@ -201,10 +201,10 @@ def build_steps(
     plan, on_reference = _plan(source, settings, choice, face)
     files = yield from frame_steps(source, plan, work_folder, survey.track.faces)
     carried = yield from carried_steps(plan, files)
-    shape = _mean_shape(settings, plan, on_reference, files)
+    shape = _mean_shape(settings, plan, on_reference, files, survey.track.weights)
     with temporary_rows(work_folder, len(files), CHANNELS * plan.mask.size) as rows:
         measured = yield from _morph_pass(rows, files, shape)
-        components = yield from _component_pass(rows, files, shape.mask, settings)
+        components = yield from _component_pass(rows, files, shape.mask, settings, survey.track.weights)
     searched = (
         None if settings.detector is None else _landmarks_document(settings, survey.track, choice, carried)
     )
@@ -364,10 +364,10 @@ class _MeanShape:
 
 
 def _mean_shape(
-    settings: BuildSettings, plan: FramePlan, on_reference: _OnReference, files: list[Path]
+    settings: BuildSettings, plan: FramePlan, on_reference: _OnReference, files: list[Path], counts: AnyArray
 ) -> _MeanShape:
-    """Average the flows, invert the mean shape, and carry faceframe and mask to the mean face."""
-    registrations, mean_field = _mean_field(files)
+    """Average the flows by `counts` (n,), invert the mean shape, and carry faceframe and mask to the mean face."""
+    registrations, mean_field = _mean_field(files, counts)
     mean_inverse = invert_mean_shape(mean_field)
     faceframe = _faceframe_on_mean(settings, files, registrations, mean_field)
     masked = on_reference.masked
@@ -377,15 +377,15 @@ def _mean_shape(
     return _MeanShape(registrations, mean_inverse, faceframe, mask, digest_of_json(digests)[:16])
 
 
-def _mean_field(files: list[Path]) -> tuple[AnyArray, Displacement]:
+def _mean_field(files: list[Path], counts: AnyArray) -> tuple[AnyArray, Displacement]:
     """Return the registration of each frame (n, 2, 3) and the mean of their flows (h, w, 2) px."""
     registrations = np.empty((len(files), 2, 3))
     total = np.zeros(())
     for index, file in enumerate(files):
         work = read_work_frame(file)
         registrations[index] = work.frame.registration
-        total = total + work.flow.displacement.astype(np.float64)
-    return registrations, (total / len(files)).astype(np.float32)
+        total = total + counts[index] * work.flow.displacement.astype(np.float64)
+    return registrations, (total / counts.sum()).astype(np.float32)
 
 
 @dataclass(frozen=True, eq=False)
@@ -495,10 +495,10 @@ class _Components:
 
 
 def _component_pass(
-    rows: RowFile, files: list[Path], mask: Mask, settings: BuildSettings
+    rows: RowFile, files: list[Path], mask: Mask, settings: BuildSettings, counts: AnyArray
 ) -> Steps[_Components]:
     """Choose the warp weight and compute the principal components of the morphs."""
-    mean = mean_row(rows)
+    mean = mean_row(rows, counts)
     yield Step("components", 1, 4)
     given = settings.warp_weight
     asked = () if given is None else (given,)
@@ -509,7 +509,7 @@ def _component_pass(
     product = inner_product(mask, weight)
     gram = gram_matrix(rows, mean, product, 0, rows.shape[1])
     yield Step("components", 3, 4)
-    basis, loadings = basis_from_gram(rows, mean, product, gram, settings.components)
+    basis, loadings = basis_from_gram(rows, mean, product, gram, settings.components, counts)
     yield Step("components", 4, 4)
     return _Components(mean, basis, loadings, weight, trials if given is None else (), held_out_db)
 

@@ -11,7 +11,7 @@ from morphspace.face.faceframe import FaceFrame
 from morphspace.face.mesh import FACE_OUTLINE, LEFT_LIDS, PHILTRUM, POINT_COUNT, RIGHT_LIDS, FacePoints
 from morphspace.face.regions import face_mask
 from morphspace.face.registration import Registration
-from morphspace.face.track import FaceTrack, GivenPoints, track_steps
+from morphspace.face.track import LEAST_WEIGHT, FaceTrack, GivenPoints, track_steps
 from morphspace.grid import warp
 from morphspace.model.passes import BuildSettings, build_steps
 from morphspace.steps import result_of
@@ -185,21 +185,21 @@ def test_the_pose_of_each_frame_is_that_of_its_face_and_unknown_without_face_or_
 
 
 def test_a_frame_weighs_less_the_further_it_turns_from_the_usual_pose_and_not_for_a_tilt(turned_face):
-    """LITTLE_TURN_DEG, FAR_TURN_DEG: 1 up to 10 degrees, a half at 17.5, none at 25; of the angle to the median."""
+    """LITTLE_TURN_DEG, FAR_TURN_DEG: 1 up to 10 degrees, a half at 17.5, the least at 25 from the median."""
     usual = [turned_face(pitch_deg=18.0)] * 7
-    turns = {18 - 9.9: 1.0, 18 + 17.5: 0.5, 18 - 17.5: 0.5, 18 + 25.5: 0.0}
+    turns = {18 - 9.9: 1.0, 18 + 17.5: 0.5, 18 - 17.5: 0.5, 18 + 25.5: LEAST_WEIGHT}
     weights = track_of([*usual, *(turned_face(pitch_deg=pitch) for pitch in turns)]).weights
     assert_allclose(weights, [*np.ones(7), *turns.values()], atol=1e-6)
     tilted = track_of([turned_face(), turned_face(), turned_face(roll_deg=60.0)]).weights
     assert_allclose(tilted, 1.0)
     shaken = track_of([turned_face(), turned_face(), turned_face(yaw_deg=60.0)]).weights
-    assert shaken.tolist() == [1, 1, 0]
+    assert shaken.tolist() == [1, 1, LEAST_WEIGHT]
 
 
 def test_a_frame_whose_turn_is_unknown_weighs_as_the_others(turned_face):
     flat = replace(turned_face(yaw_deg=60.0), depth=None)
     faces = [turned_face(), turned_face(), None, flat, turned_face(yaw_deg=80.0)]
-    assert_allclose(track_of(faces).weights, [1, 1, 1, 1, 0])
+    assert_allclose(track_of(faces).weights, [1, 1, 1, 1, LEAST_WEIGHT])
     assert_allclose(track_of([None, flat]).weights, 1.0)
 
 

@@ -7,7 +7,7 @@ from sklearn.decomposition import PCA
 
 from morphspace.errors import BadInput
 from morphspace.linear import rows as rows_module
-from morphspace.linear.pca import Basis, fit_basis, gram_matrix, mean_row, principal_axes
+from morphspace.linear.pca import Basis, basis_from_gram, fit_basis, gram_matrix, mean_row, principal_axes
 from morphspace.linear.rows import RowArray, RowFile
 
 N, D = 14, 900
@@ -85,6 +85,21 @@ def test_training_loadings_are_the_projections_of_the_rows():
     mean, basis, loadings = fit_basis(RowArray(rows), weights_of(), 9)
     assert_allclose(basis.project(rows - mean), loadings, atol=RELATIVE * np.abs(loadings).max())
     assert_allclose(basis.project(rows[3] - mean), loadings[3], atol=RELATIVE * np.abs(loadings).max())
+
+
+def test_a_row_that_counts_twice_is_a_row_that_is_there_twice():
+    rows, counts = rows_of(), np.where(np.arange(N) % 3, 1.0, 2.0)
+    mean = mean_row(RowArray(rows), counts)
+    gram = gram_matrix(RowArray(rows), mean, weights_of(), 0, rows.shape[1])
+    basis, loadings = basis_from_gram(RowArray(rows), mean, weights_of(), gram, 5, counts)
+    repeated = np.repeat(rows, counts.astype(int), axis=0)
+    same_mean, same, theirs = fit_basis(RowArray(repeated), weights_of(), 5)
+    assert_allclose(mean, same_mean, atol=1e-6)
+    assert_allclose(basis.variances, same.variances, rtol=1e-6)
+    assert_allclose(basis.discarded_variance, same.discarded_variance, rtol=1e-6)
+    sign = signs(basis.components, same.components)
+    assert_allclose(np.repeat(loadings, counts.astype(int), axis=0) * sign, theirs, atol=1e-5)
+    assert_allclose(basis.project(rows - mean), loadings, atol=RELATIVE * np.abs(loadings).max())
 
 
 def test_all_components_reconstruct_the_rows():

@@ -11,11 +11,12 @@ from morphspace.errors import BadInput
 from morphspace.face.detector import Detector
 from morphspace.face.faceframe import FaceFrame, identity_affine
 from morphspace.face.regions import face_mask, mouth_surroundings, rigid_region
+from morphspace.face.track import FaceTrack
 from morphspace.flow import methods
 from morphspace.grid import warp
 from morphspace.linear.quality import psnr_db, rms_px
 from morphspace.model import passes as build_module
-from morphspace.model.morph import morph_of, resource
+from morphspace.model.morph import invert_mean_shape, morph_of, resource
 from morphspace.model.passes import BuildSettings, build_steps
 from morphspace.model.reference import _mouth_contrast
 from morphspace.steps import result_of
@@ -238,6 +239,23 @@ def waving(picture, wavy_field, make_clip):
     neutral, wave = picture(96, 80, seed=12), wavy_field(96, 80, 1.0, seed=5, sd_px=12.0)
     fields = [np.float32(amount) * wave for amount in (0.0, 1.0, 2.0, 3.0, 4.0)]
     return make_clip([warp.render(neutral, field) for field in fields], fields, neutral)
+
+
+def test_frames_of_a_turned_head_count_less_in_mean_shape_and_mean_face(waving, tmp_path, monkeypatch):
+    weights = np.array([1.0, 1.0, 1.0, 0.5, 0.01])
+    monkeypatch.setattr(FaceTrack, "weights", weights)
+    settings = replace(PLAIN, components=2)
+    result = built(waving, tmp_path, settings)
+    fields = np.array([result.frame(index)[1].displacement for index in range(5)])
+    shape = invert_mean_shape(np.average(fields, axis=0, weights=weights).astype(np.float32))
+    np.testing.assert_allclose(result.model.mean_inverse, shape, atol=1e-5)
+    textures = [morph_of(result.frame(i)[0].image, resource(fields[i], shape), "").texture for i in range(5)]
+    inside = result.model.mask > 0.9  # outside the frames' edges a texture is painted
+    expected = np.average(textures, axis=0, weights=weights)
+    np.testing.assert_allclose(result.model.mean.texture[inside], expected[inside], atol=1e-4)
+    assert np.abs(np.mean(textures, axis=0) - expected)[inside].max() > 0.003  # else nothing was tested
+    loadings = result.model.training.values
+    np.testing.assert_allclose(weights @ loadings, 0, atol=1e-3 * np.abs(loadings).max())
 
 
 MARKED = FaceFrame((24.0, 36.0), (55.0, 36.0), (39.5, 60.0))
