@@ -12,7 +12,7 @@ A measure counts where the judge and the face mesh agree on the person's frames;
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -27,6 +27,7 @@ from morphspace.grid import warp
 from morphspace.io.clips import open_clip
 from morphspace.io.framing import FramedClip, Framing
 from morphspace.io.images import write_image
+from morphspace.model.carried import Carried
 from morphspace.model.passes import Build, BuildSettings, build_steps
 from morphspace.steps import result_of, spread
 from morphspace.synthetic.clips import Truth, make_actors, read_truth
@@ -54,12 +55,16 @@ LEAST_SEEN = 3  # pixels
 
 @dataclass(frozen=True, eq=False)
 class Figures:
-    """Left over of the `GROUPS`, carried back and forward (4,), and slopes and sd of the `MEASURED` (5,)."""
+    """Left over of the `GROUPS`, carried back and forward (4,), and slopes and sd of the `MEASURED` (5,).
+
+    `own` are the figures that the build itself estimated, None if it did not.
+    """
 
     back: AnyArray
     forward: AnyArray
     slopes: AnyArray
     sd: AnyArray
+    own: Carried | None = None
 
 
 def carried(data: Path, work: Path, judge: str) -> None:
@@ -69,7 +74,8 @@ def carried(data: Path, work: Path, judge: str) -> None:
         "none` and `auto`. Judge: 68 landmarks of dlib, which no build uses. Left over, carried back / forward: 0 if "
         "the field follows the feature. Slope: 1 if the warp alone makes the expression; in brackets the sd of the "
         "measure, % of the eye distance. What dlib and the face mesh do not agree on in a person's frames (r below "
-        f"{READ}) is unread: it stands in parentheses (r behind it), and the means leave it out.\n"
+        f"{READ}) is unread: it stands in parentheses (r behind it), and the means leave it out. Own estimate: what the "
+        "build itself reports, from points of its own detector that did not hold the flow.\n"
     )
     detector = load_detector()
     rows: list[list[object]] = []
@@ -82,6 +88,8 @@ def carried(data: Path, work: Path, judge: str) -> None:
             if agreement is not None:
                 agreements.append(agreement)
             rows.append([name, way, *_cells(one, agreements[-1])])
+            if one.own is not None:
+                rows.append([name, "own estimate", *_own_cells(one.own)])
     is_read = np.array(agreements) >= READ
     of_group = is_read[:, [MEASURED.index(name) for name in MEASURE_OF_GROUP.values()]]
     for way in WAYS:
@@ -107,6 +115,13 @@ def _cells(one: Figures, agreement: AnyArray) -> list[str]:
     slopes = [f"{slope:.2f} [{100 * sd:.1f}]" for slope, sd in zip(one.slopes, one.sd, strict=True)]
     read = zip([*left, *slopes], [*of_group, *agreement], strict=True)
     return [cell if r >= READ else f"({cell}) r {r:.2f}" for cell, r in read]
+
+
+def _own_cells(own: Carried) -> list[str]:
+    """Write a build's own estimate: left over of the `GROUPS`, and the slope of the group behind each measure."""
+    slopes = dict(zip(MEASURE_OF_GROUP.values(), own.slopes, strict=True))
+    left = [f"{value:.2f}" for value in own.left_over]
+    return [*left, *(f"{slopes[name]:.2f}" if name in slopes else "" for name in MEASURED)]
 
 
 def _mean_of_read(rows: list[AnyArray], is_read: AnyArray) -> AnyArray:
@@ -136,7 +151,7 @@ def _judged(
     marks = np.load(read)["landmarks"].astype(np.float64)
     seen = np.isfinite(marks).all(axis=(1, 2))
     fields = [flow.displacement for (_, flow), is_seen in zip(frames, seen, strict=True) if is_seen]
-    found = figures(fields, marks[seen])
+    found = replace(figures(fields, marks[seen]), own=build.carried)
     return found, None if detector is None else _agreement(
         marks, [frame.image for frame, _ in frames], detector
     )
