@@ -74,8 +74,8 @@ def carried(data: Path, work: Path, judge: str) -> None:
         "none` and `auto`. Judge: 68 landmarks of dlib, which no build uses. Left over, carried back / forward: 0 if "
         "the field follows the feature. Slope: 1 if the warp alone makes the expression; in brackets the sd of the "
         "measure, % of the eye distance. What dlib and the face mesh do not agree on in a person's frames (r below "
-        f"{READ}) is unread: it stands in parentheses (r behind it), and the means leave it out. Own estimate: what the "
-        "build itself reports, from points of its own detector that did not hold the flow.\n"
+        f"{READ}) is unread: it stands in parentheses (r behind it), and the means leave it out. Own estimate: "
+        "what the build itself reports, from points of its own detector that did not hold the flow.\n"
     )
     detector = load_detector()
     rows: list[list[object]] = []
