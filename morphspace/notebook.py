@@ -1,7 +1,6 @@
 """Plain functions for a notebook: each takes objects and returns objects, and writes no file (ours).
 
-The verbs of the command line write sets of stimuli with a sidecar each; these functions are for looking and trying. A
-result is a `MorphModel`, `Loadings`, or `Faces`, and a notebook draws it where it is the last line of a cell.
+Verbs write stimuli with sidecars. A result here is a `MorphModel`, `Loadings` or `Faces`, which a notebook draws.
 """
 
 from __future__ import annotations
@@ -26,6 +25,7 @@ from morphspace.avatar import blend_steps
 from morphspace.avatar.pair import pair_model
 from morphspace.avatar.settings import blend_settings
 from morphspace.errors import BadInput
+from morphspace.face.track import framed_points
 from morphspace.flow.methods import DEFAULT
 from morphspace.io.clips import open_clip
 from morphspace.model.encode import encoded_frames, framed_for, joined
@@ -176,7 +176,7 @@ def load(path: Path | str) -> MorphModel:
     return load_model(converted(field_named(EncodeRequest, "model"), path))
 
 
-@_with_settings(EncodeRequest, "crop", *CLIP_OPTIONS)
+@_with_settings(EncodeRequest, "crop", "landmarks", *CLIP_OPTIONS)
 def encode(
     model: MorphModel,
     *sources: str | Path | Sequence[str | Path],
@@ -219,7 +219,7 @@ def encode(
 
     def steps() -> Steps[Loadings]:
         parts = []
-        for encoded in encoded_frames(model, source):
+        for encoded in encoded_frames(model, source, given=framed_points(request.landmarks, source)):
             parts.append(encoded.loadings)
             yield Step("encode", len(parts), len(source.names))
         return joined(model, parts)

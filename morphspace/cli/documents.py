@@ -15,6 +15,7 @@ from typing import Any
 from morphspace.cli.options import usage_of
 from morphspace.documents import Document
 from morphspace.imitation.table import MEASURES
+from morphspace.io.points_table import POINTS
 from morphspace.io.recipe.grammar import OWN_KEYS, RECIPE_FORMAT, RECIPE_VERSION, REQUIRED
 from morphspace.io.sidecars import CLIP, FACEFRAME
 from morphspace.io.stimulus_sidecars import STIMULUS
@@ -42,6 +43,7 @@ DOCUMENTS: tuple[Document[Any], ...] = (
     CLIP,
     FACEFRAME,
     LOADINGS,
+    POINTS,
     RECORD,
     STIMULUS,
     MANIFEST,

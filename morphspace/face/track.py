@@ -10,7 +10,7 @@ more from the motion of the lips than from the noise, and made blinks shallower 
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -18,11 +18,14 @@ from typing import Any
 import cv2
 import numpy as np
 
-from morphspace.arrays import AnyArray, Image
+from morphspace.arrays import Affine, AnyArray, Image
 from morphspace.cache import is_finished, read_result, result_file, write_result
 from morphspace.face.detector import Detector
-from morphspace.face.mesh import MAX_TURN_DEG, FacePoints
-from morphspace.io.framing import FrameSource, same_size
+from morphspace.face.mesh import GIVEN_SCORE, MAX_TURN_DEG, POINT_COUNT, SCHEME, FacePoints
+from morphspace.grid import warp
+from morphspace.io.clips import Clip
+from morphspace.io.framing import FramedClip, FrameSource, same_size
+from morphspace.io.points_table import FramePoints, read_points
 from morphspace.steps import Step, Steps, in_order
 
 POINTS_FORMAT = "morphspace-frame-points-3"
@@ -86,6 +89,26 @@ class FaceTrack:
         order = np.argsort(-turn_deg, kind="stable")
         return order[turn_deg[order] > limit_deg]
 
+    @property
+    def words(self) -> str:
+        """Describe in how many frames the face was given and found."""
+        given, count = int(self.given.sum()), len(self.faces)
+        found, rest = int((self.known & ~self.given).sum()), count - given
+        if not given:
+            return f"found in {found} of {count} frames"
+        return f"given in {given} of {count} frames" + (
+            f", found in {found} of the other {rest}" if rest else ""
+        )
+
+    def table(self) -> dict[str, FramePoints | None]:
+        """Return the points of each frame by its name, as `write_points_table` takes them."""
+        return {
+            name: None
+            if face is None
+            else FramePoints(face.points, face.depth, face.confidence, tuple(map(float, pose)))  # type: ignore[arg-type]
+            for name, face, pose in zip(self.names, self.faces, self.pose_deg, strict=True)
+        }
+
     def document(self) -> dict[str, Any]:
         """Describe the track as JSON: how many frames show a face, how many were given, and the range of the pose."""
         found: dict[str, Any] = {
@@ -98,6 +121,11 @@ class FaceTrack:
             if not np.isnan(values).all():
                 found[name] = [round(float(np.nanmin(values)), 1), round(float(np.nanmax(values)), 1)]
         return found
+
+
+def framed_points(path: Path | None, source: FramedClip) -> GivenPoints | None:
+    """Read face points as `given_points` does, px of a framed clip; None for no path. Raises as `given_points`."""
+    return None if path is None else given_points(path, source.clip).framed(source.to_source)
 
 
 def turn_words(track: Mapping[str, Any] | None) -> str:
@@ -123,6 +151,36 @@ class GivenPoints:
 
     faces: Mapping[str, FacePoints]
     origin: Mapping[str, Any]
+
+    def framed(self, to_source: Affine) -> GivenPoints:
+        """Return the points in frames, from which `to_source` (2, 3), a scaling and a shift, leads to the pictures."""
+        to_frame = warp.inverse_affine(to_source)
+        scale = float(np.sqrt(np.linalg.det(to_frame[:, :2])))
+        faces = {
+            name: replace(
+                face,
+                points=warp.apply_affine(to_frame, face.points),
+                depth=None if face.depth is None else scale * face.depth,
+            )
+            for name, face in self.faces.items()
+        }
+        return GivenPoints(faces, self.origin)
+
+
+def given_points(path: Path, clip: Clip) -> GivenPoints:
+    """Read face points of some frames of a clip, px of its pictures, from a table or a folder of templates.
+
+    Raises
+    ------
+    BadInput, UnreadableFile
+        As `io.points_table.read_points`.
+    """
+    frames, digest = read_points(path, clip, SCHEME, POINT_COUNT)
+    faces = {
+        name: FacePoints(frame.points, GIVEN_SCORE, depth=frame.depth, confidence=frame.confidence)
+        for name, frame in frames.items()
+    }
+    return GivenPoints(faces, {"file": path.name, "sha256": digest})
 
 
 def _nothing(index: int, image: Image) -> None:

@@ -183,6 +183,28 @@ class FramedClip:
         return self.framing.to_source
 
 
+@dataclass(frozen=True)
+class WholeClip:
+    """A clip without framing: a `FrameSource` of its own pictures, of any size."""
+
+    clip: Clip
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The name of each frame."""
+        return self.clip.frame_names
+
+    @cached_property
+    def digests(self) -> tuple[str, ...]:
+        """One digest per frame, of its source file and the face that is used."""
+        person = self.clip.person
+        return tuple(digest_of_json([digest, person]) for digest in self.clip.digests())
+
+    def images(self, indices: list[int]) -> Iterator[Image]:
+        """Yield the pictures (h, w, 3) at these indices, one at a time."""
+        yield from self.clip.images(indices)
+
+
 def same_size(
     source: FrameSource, indices: list[int], shape: tuple[int, ...] | None = None
 ) -> Iterator[tuple[int, Image]]:

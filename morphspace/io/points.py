@@ -5,7 +5,7 @@ are ignored. `.tps` (tpsDig, geomorph, webmorphR): `LM=` and the number, then on
 `.txt`: one line x y for each, separated by a comma, a semicolon or blanks; a heading (x, y) is allowed. All are in px
 of the image: pixel centres are integers, and y points down except in some `.tps`.
 
-`_read_landmarks` returns all points. `read_marked_points` returns the eyes and the lip, from these files or from a
+`read_landmarks` returns all points. `read_marked_points` returns the eyes and the lip, from these files or from a
 faceframe file (.json). The number of points identifies the template; TEMPLATES lists which of its points surround the
 eyes and the lip.
 
@@ -103,8 +103,8 @@ class MarkedPoints:
     notes: tuple[str, ...] = ()
 
 
-def _read_landmarks(path: str | Path) -> Points:
-    """Read landmarks (m, 2) px, m >= 1, in the order of the file.
+def read_landmarks(path: str | Path, remedy: str = EYES_ALONE) -> Points:
+    """Read landmarks (m, 2) px, m >= 1, in the order of the file; `remedy` says what to do about a missing one.
 
     Raises
     ------
@@ -113,6 +113,12 @@ def _read_landmarks(path: str | Path) -> Points:
         and its number.
     UnreadableFile
         If the file is missing, empty or not a text.
+
+    Examples
+    --------
+    >>> _ = Path("two.tem").write_text("2\\n10 20\\n30 20.5\\n0\\n")
+    >>> read_landmarks("two.tem").tolist()
+    [[10.0, 20.0], [30.0, 20.5]]
     """
     path = Path(path)
     if path.suffix.lower() not in SUFFIXES:
@@ -125,7 +131,7 @@ def _read_landmarks(path: str | Path) -> Points:
     rows = _rows_of_tem(path, lines) if path.suffix.lower() == ".tem" else _rows_of_table(path, lines)
     if not rows:
         raise BadInput(f"{path} holds no landmark; expected x and y in each line. Export it again")
-    return _points_of(path, rows)
+    return _points_of(path, rows, remedy)
 
 
 def read_landmark_pair(reference: str | Path, frame: str | Path) -> tuple[Points, Points]:
@@ -139,7 +145,7 @@ def read_landmark_pair(reference: str | Path, frame: str | Path) -> tuple[Points
     >>> (second - first).tolist()
     [[0.0, 1.0], [0.0, 1.0]]
     """
-    one, other = _read_landmarks(reference), _read_landmarks(frame)
+    one, other = read_landmarks(reference), read_landmarks(frame)
     if len(one) != len(other):
         raise BadInput(
             f"{reference} has {len(one)} landmarks, {frame} has {len(other)}; expected equal numbers. Mark the same "
@@ -190,7 +196,7 @@ def read_marked_points(
     elif suffix == ".tps":
         points = _one_specimen(path, _read_tps(path))
     elif suffix in SUFFIXES:
-        points = _read_landmarks(path)
+        points = read_landmarks(path)
     else:
         raise BadInput(
             f"{path} is not a points file by its name; expected .tem, .tps, .csv, .txt or .json. Rename it"
@@ -398,13 +404,13 @@ def _rows_of_table(path: Path, lines: Lines) -> Lines:
     return rows[1:] if rows and HEADING.fullmatch(rows[0][1]) else rows
 
 
-def _points_of(path: Path, rows: Lines) -> Points:
+def _points_of(path: Path, rows: Lines, remedy: str = EYES_ALONE) -> Points:
     """Read one landmark (m, 2) px from each line. Raise `BadInput`, which gives its number, if one is missing."""
-    points = [_point_of(path, line, text, place) for place, (line, text) in enumerate(rows, start=1)]
+    points = [_point_of(path, line, text, place, remedy) for place, (line, text) in enumerate(rows, start=1)]
     return np.array(points, np.float64).reshape(len(points), 2)
 
 
-def _point_of(path: Path, number: int, text: str, place: int) -> tuple[float, float]:
+def _point_of(path: Path, number: int, text: str, place: int, missing: str) -> tuple[float, float]:
     """Read x and y from line `number`. Raise `BadInput`, which quotes it, if it is not a place."""
     words = APART.split(text)
     if text and not all(NUMBER.fullmatch(word) or MISSING_WORD.fullmatch(word) for word in words):
@@ -417,7 +423,7 @@ def _point_of(path: Path, number: int, text: str, place: int) -> tuple[float, fl
     if values in MISSING_MARKS or not all(map(math.isfinite, values)):
         raise BadInput(
             f"{path}, line {number}: landmark {place} is {_quoted(text)}, which marks it as missing; expected a "
-            f"place in the image. {EYES_ALONE}"
+            f"place in the image. {missing}"
         )
     return values
 

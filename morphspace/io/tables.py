@@ -198,7 +198,7 @@ def read_loadings_table(path: str | Path) -> LoadingsTable:
     _check_names(path, names)
     values = [
         [
-            _number(path, line, heading, cell)
+            finite_number(path, line, heading, cell)
             for heading, cell in zip(table.headings[1:], row[1:], strict=True)
         ]
         for line, row in zip(table.lines, table.rows, strict=True)
@@ -333,7 +333,7 @@ def _column(table: Table, place: int) -> list[str] | list[float]:
     has_numbers = any(cell and number is not None for cell, number in zip(cells, numbers, strict=True))
     if all(map(any, zip(is_comma, is_date, strict=True))) and (any(is_comma) or has_numbers):
         first = others[0]
-        _number(table.path, table.lines[first], table.headings[place], cells[first])
+        finite_number(table.path, table.lines[first], table.headings[place], cells[first])
     return cells
 
 
@@ -399,7 +399,14 @@ def _check_times(path: Path, names: Sequence[str], times_s: Sequence[float] | An
         )
 
 
-def _number(path: Path, line: int, heading: str, cell: str) -> float:
+def finite_number(path: Path, line: int, heading: str, cell: str) -> float:
+    """Read a number from a cell. Raises `BadInput`, with its line and column, if it is none or not finite.
+
+    Examples
+    --------
+    >>> finite_number(Path("a.csv"), 2, "x_px", "1.5")
+    1.5
+    """
     value = _float_or_none(cell)
     if value is None or not np.isfinite(value):
         raise BadInput(

@@ -11,6 +11,7 @@ import numpy as np
 from morphspace.arrays import Image, LoadingVector
 from morphspace.errors import BadInput
 from morphspace.face.faceframe import Frame, identity_affine
+from morphspace.face.track import GivenPoints
 from morphspace.io.clips import open_clip
 from morphspace.io.flow_fields import write_flows
 from morphspace.io.framing import MIN_SIDE_PX, FramedClip, Framing, check_person
@@ -202,14 +203,22 @@ def energy_outside(offset: MorphOffset, model: MorphModel, inside: LoadingVector
 
 
 def encoded_frames(
-    model: MorphModel, source: FramedClip, own: tuple[bool, ...] | None = None
+    model: MorphModel,
+    source: FramedClip,
+    own: tuple[bool, ...] | None = None,
+    given: GivenPoints | None = None,
 ) -> Iterator[EncodedFrame]:
     """Encode each frame of a clip, in order, a few at a time.
 
     Stimuli that the model itself rendered lie on its reference and are not aligned: registration would take a strong
     expression for head movement. `own` marks them; None looks them up with `drawn_by`. The loadings of
     frames that the model was built from (`rows_of_build`) are refined from those of the build, whose flow started from
-    neighbouring frames.
+    neighbouring frames. Frames with `given` face points, px of the frame, are not searched.
+
+    Raises
+    ------
+    BadInput
+        If points are given, and the model reads frames without them.
 
     Examples
     --------
@@ -223,12 +232,23 @@ def encoded_frames(
     _ = model.flow_from_reference  # prepared once, before the threads start
     own = drawn_by(model, source) if own is None else own
     rows = rows_of_build(model, source)
+    faces = {} if given is None else given.faces
+    if given is not None and model.anchor is None:
+        raise BadInput(
+            f"--landmarks gives face points, but {model.identity} was built without. Leave it out, or build the model "
+            "again after `morphspace models fetch`"
+        )
 
     def encode(item: tuple[str, Image, bool, int | None]) -> EncodedFrame:
         name, image, is_own, row = item
-        frame = Frame(image, name, identity_affine()) if is_own else model.align(image, name)
+        face = faces.get(name)
+        if is_own:
+            frame = Frame(image, name, identity_affine(), None if face is None else face.points)
+        else:
+            frame = model.align(image, name, face)
         morph = model.morph_of(frame)
-        start = model.project(morph) if row is None else model.training.values[row]
+        is_known = row is not None and face is None
+        start = model.training.values[row] if is_known else model.project(morph)
         return EncodedFrame(frame, morph, model.fit(frame, start))
 
     indices = list(range(len(source.names)))

@@ -13,6 +13,7 @@ from morphspace.errors import BadInput
 from morphspace.face.crop import FoundCrop, crop_steps
 from morphspace.face.detector import Landmarks, detector_for, load_detector
 from morphspace.face.faceframe import FaceFrame, RegistrationKind
+from morphspace.face.track import given_points
 from morphspace.flow import methods
 from morphspace.flow.starts import StartKind
 from morphspace.grid.warp import apply_affine, inverse_affine
@@ -50,9 +51,10 @@ class ClipSettings:
         Of the model's frames; None for `default_size`.
     crop : (x, y, w, h) px or "auto", optional
         A box of every frame, or "auto" for a box around the head.
-    landmarks : {"auto", "none"}
+    landmarks : {"auto", "none"} or Path
         "auto" finds the face in every frame, and holds the flow to its points, if the detector's networks are
-        installed. "none" runs no detector.
+        installed. "none" runs no detector. A table or folder of points gives those of its frames; the face is found
+        in the others.
     mask : Path, optional
         A grey picture of the reference's size, white inside the face.
     reference : str, optional
@@ -76,7 +78,7 @@ class ClipSettings:
     components: int = COMPONENTS
     size: tuple[int, int] | None = None
     crop: Crop | None = None
-    landmarks: Landmarks = "auto"
+    landmarks: Landmarks | Path = "auto"
     mask: Path | None = None
     reference: str | None = None
     registration: RegistrationKind = "similarity"
@@ -123,8 +125,9 @@ def build_clip(clip: Clip, asked: ClipSettings, work_folder: Path) -> Steps[tupl
             "--person selects a face, but landmarks is none: no face is detected. Leave one of them out"
         )
     person = clip.person or "largest"
-    detector, missing = detector_for(asked.landmarks, person)
-    if clip.person is not None:
+    given = given_points(asked.landmarks, clip) if isinstance(asked.landmarks, Path) else None
+    detector, missing = detector_for("auto" if given else str(asked.landmarks), person)
+    if clip.person is not None or given is not None:
         detector, missing = load_detector(person=person), ()
     notes = [*clip.notes, *missing]
     rate_hz = clip.sidecar.frame_rate_hz
@@ -157,6 +160,7 @@ def build_clip(clip: Clip, asked: ClipSettings, work_folder: Path) -> Steps[tupl
         faceframe=faceframe,
         faceframe_index=faceframe_index,
         detector=detector,
+        given=None if given is None else given.framed(framing.to_source),
         is_video=clip.video_indices is not None,
     )
     build = yield from build_steps(

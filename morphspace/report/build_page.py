@@ -349,11 +349,8 @@ def _face_points(build: Build) -> str:
     """Describe in how many frames the face was found."""
     if build.track is None:
         return "not searched"
-    found = int((build.track.known & ~build.track.given).sum())
-    count, given = len(build.track.faces), int(build.track.given.sum())
-    taken = f"given for {given} and found in {found}" if given else f"found in {found}"
-    without = "" if found + given == count else "; the flow of the others is not held"
-    return f"{taken} of {count} frames{without}"
+    without = "" if build.track.known.all() else "; the flow of the others is not held"
+    return build.track.words + without
 
 
 def _faceframe(model: MorphModel) -> str:

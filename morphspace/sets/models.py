@@ -278,14 +278,8 @@ def _found_lines(build: Build) -> tuple[str, ...]:
             keypoints += (
                 " as marked, landmarks not learned: `morphspace keypoints MODEL --auto` sets and learns both"
             )
-        found, given, frames = (
-            int((track.known & ~track.given).sum()),
-            int(track.given.sum()),
-            len(track.faces),
-        )
-        taken = f"given for {given} and found in {found}" if given else f"found in {found}"
         held = "the flow is held to it" if was_held(build.model.provenance) else "the flow is not held to it"
-        lines += (f"face {taken} of {frames} frames, {held}; keypoints {keypoints}",)
+        lines += (f"face {track.words}, {held}; keypoints {keypoints}",)
     return lines
 
 

@@ -19,6 +19,7 @@ from morphspace.documents import read_json_object
 from morphspace.errors import BadInput, UnreadableFile
 from morphspace.io.clips import IMAGE_SUFFIXES, SIDECAR_NAME, VIDEO_SUFFIXES
 from morphspace.io.images import read_image
+from morphspace.io.points_table import POINTS
 from morphspace.io.stimulus_sidecars import STIMULUS, essentials_in
 from morphspace.io.tables import LOADINGS
 from morphspace.outcome import RECORD, RECORD_NAME, relative_name
@@ -27,6 +28,7 @@ from morphspace.sets.outputs import TABLE_SUFFIX, Output, check_apart, check_inp
 from morphspace.sets.stimulus import is_as_written
 from morphspace.storage import MARK_NAME, digest_of_file, is_container_or_nothing, make_folder, read_container
 
+TABLES = (LOADINGS.format, POINTS.format)
 SIDECAR_START = '{\n  "consent": '  # keys are sorted, and this key comes first in every sidecar
 MODEL_SUFFIX = ".morph"
 FILE_SUFFIXES = (*IMAGE_SUFFIXES, *VIDEO_SUFFIXES, ".gif")
@@ -201,9 +203,9 @@ def _is_own_format(path: Path) -> bool:
     suffix = path.suffix.lower()
     if suffix == TABLE_SUFFIX:
         beside = _object(path.with_suffix(".json"))
-        return beside.get("format") == LOADINGS.format and beside.get("table_sha256") == digest_of_file(path)
+        return beside.get("format") in TABLES and beside.get("table_sha256") == digest_of_file(path)
     if suffix == ".json":
-        return _object(path).get("format") in (LOADINGS.format, RECORD.format)
+        return _object(path).get("format") in (*TABLES, RECORD.format)
     if suffix == ".html":
         return PAGE_FOOTER in _end(path)
     if path.name.endswith(".keypoints.png"):  # the picture beside a model with new keypoints

@@ -43,10 +43,12 @@ class BuildModelRequest:
         ),
     ] = None
     landmarks: Annotated[
-        Literal["auto", "none"],
+        Literal["auto", "none"] | Path,
+        Option(metavar="auto|none|FILE"),
         Help(
             "Whether the face is detected in every frame, for registration, mask and keypoints, and to hold the flow "
-            "to lips, lids and brows; auto does so if `morphspace models fetch` has been run."
+            "to lips, lids and brows; auto does so if `morphspace models fetch` has been run. FILE is a table of "
+            "points, or a folder of templates, for the frames that it names (`morphspace track`)."
         ),
     ] = "auto"
     mask: Annotated[Path | None, Help("Grey picture of the reference's size, white on the face.")] = None
@@ -98,7 +100,8 @@ def run(request: BuildModelRequest) -> Steps[Outcome]:
     report = request.report or output.with_suffix(".html")
     check_file(report, ".html")
     identity = request.identity or clip.sidecar.identity or clip.name
-    guarded = Output("build-model", output, (output, report), inputs=clip.paths, identity=identity)
+    given = [request.landmarks] if isinstance(request.landmarks, Path) else []
+    guarded = Output("build-model", output, (output, report), inputs=(*clip.paths, *given), identity=identity)
     with writing(guarded), cache.work_folder(request.work_folder, output) as work_folder:
         made = yield from written_model(clip, settings, output, report, work_folder)
     document = {"model": str(output), "report": str(report), **build_document(made)}

@@ -24,6 +24,13 @@ class EncodeRequest:
     sources: Clip
     output: Annotated[Path, Option("-o", "--output"), Help("The loadings table (.csv).")]
     crop: FrameCrop = None
+    landmarks: Annotated[
+        Path | None,
+        Option(metavar="FILE"),
+        Help(
+            "A table of face points, or a folder of templates, for the frames that it names (`morphspace track`)."
+        ),
+    ] = None
     morphs: Annotated[
         Path | None,
         Option(metavar="DIR"),
@@ -40,6 +47,7 @@ def run(request: EncodeRequest) -> Steps[Outcome]:
 
     import numpy as np
 
+    from morphspace.face.track import framed_points
     from morphspace.model.encode import (
         drawn_by,
         encoded_frames,
@@ -64,17 +72,21 @@ def run(request: EncodeRequest) -> Steps[Outcome]:
     parts: list[Loadings] = []
     own = drawn_by(model, source)
     inputs = dict(zip(source.names, source.file_digests, strict=True))
+    files, given = list(source.clip.paths), framed_points(request.landmarks, source)
+    if request.landmarks is not None and given is not None:
+        files.append(request.landmarks)
+        inputs[given.origin["file"]] = given.origin["sha256"]
     table = (request.output, sidecar)
-    outputs = [Output("encode", request.output, table, inputs=source.clip.paths, identity=model.identity)]
+    outputs = [Output("encode", request.output, table, inputs=files, identity=model.identity)]
     pairs: list[tuple[Path, Path]] = []
     if request.morphs is not None:
         pairs = morph_files(request.morphs, source.names)
-        files = [*chain(*pairs), request.morphs / RECORD_NAME]
-        outputs.append(Output("encode", request.morphs, files, inputs=source.clip.paths))
+        made = [*chain(*pairs), request.morphs / RECORD_NAME]
+        outputs.append(Output("encode", request.morphs, made, inputs=files))
     with contextlib.ExitStack() as guards:
         for output in outputs:
             guards.enter_context(writing(output))
-        for place, encoded in enumerate(encoded_frames(model, source, own)):
+        for place, encoded in enumerate(encoded_frames(model, source, own, given)):
             parts.append(encoded.loadings)
             if pairs:
                 write_morph(encoded.morph, *pairs[place])

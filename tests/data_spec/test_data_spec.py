@@ -15,7 +15,8 @@ from morphspace.cli.documents import DOCUMENTS
 from morphspace.errors import BadInput, ModelFileError, UnreadableFile
 from morphspace.face.mesh import LANDMARKS
 from morphspace.io import limits
-from morphspace.io.clips import IMAGE_SUFFIXES
+from morphspace.io.clips import IMAGE_SUFFIXES, Clip
+from morphspace.io.points_table import FramePoints, read_points, write_points_table
 from morphspace.io.sidecars import MarkedFaceframe, Sidecar, read_faceframe, read_sidecar, write_sidecar
 from morphspace.io.tables import read_loadings_table, write_loadings_table
 from morphspace.model.file import OPTIONAL_ARRAY_KINDS
@@ -49,6 +50,9 @@ def written(kind: str, folder: Path) -> dict:
         points = dict(zip(("right_eye", "left_eye", "philtrum"), POINTS.tolist(), strict=True))
         head = {"format": "morphspace-faceframe", "version": 1, "image": "frame_0001.png", "size": [40, 50]}
         path.write_text(json.dumps({**head, **points}))
+    elif kind == "points-table":
+        about = {"scheme": "three", "size": [40, 50], "inputs": {"a": "0" * 64}, "identity": "actor-07"}
+        write_points_table(path.with_suffix(".csv"), {"a": None, "b": FramePoints(POINTS)}, 3, about)
     else:
         document = {"model_id": "0f3a", "identity": "actor-07", "frame_rate_hz": 25.0}
         write_loadings_table(path.with_suffix(".csv"), np.array([[0.5, -1.0]]), ["frame_0001"], document)
@@ -60,10 +64,13 @@ def read(kind: str, folder: Path) -> object:
         return read_sidecar(folder / "file.json")
     if kind == "faceframe":
         return read_faceframe(folder / "file.json")
+    if kind == "points-table":
+        clip = Clip("c", ("a", "b"), (40, 50), Sidecar(), (folder / "file.csv",) * 2, None)
+        return read_points(folder / "file.csv", clip, "three", 3)
     return read_loadings_table(folder / "file.csv")
 
 
-@pytest.mark.parametrize("kind", ["clip-folder", "loadings-table"])
+@pytest.mark.parametrize("kind", ["clip-folder", "loadings-table", "points-table"])
 def test_what_the_package_writes_fits_the_schema(kind, tmp_path):
     validator_of(kind).validate(written(kind, tmp_path))
 
@@ -87,6 +94,11 @@ BROKEN = [
     ("loadings-table", "format", "morphspace-faceframe"),
     ("loadings-table", "version", 99),
     ("loadings-table", "unit", "variance"),
+    ("points-table", "format", "morphspace-loadings"),
+    ("points-table", "version", 2),
+    ("points-table", "size", [40]),
+    ("points-table", "point_count", 0),
+    ("points-table", "inputs", {"a": "no digest"}),
 ]
 
 
@@ -101,7 +113,13 @@ def test_schema_and_reader_refuse_the_same_broken_files(kind, entry, value, tmp_
 
 
 @pytest.mark.parametrize(
-    ("kind", "entry"), [("faceframe", "left_eye"), ("faceframe", "version"), ("loadings-table", "unit")]
+    ("kind", "entry"),
+    [
+        ("faceframe", "left_eye"),
+        ("faceframe", "version"),
+        ("loadings-table", "unit"),
+        ("points-table", "scheme"),
+    ],
 )
 def test_a_required_entry_is_missed(kind, entry, tmp_path):
     document = written(kind, tmp_path)
@@ -135,6 +153,12 @@ def test_the_example_table_on_the_page_reads(tmp_path):
     (example,) = re.findall(r"```\n(frame,.*?)```", (DATA_SPEC / "loadings-table.md").read_text(), re.DOTALL)
     (tmp_path / "file.csv").write_text(example)
     assert read_loadings_table(tmp_path / "file.csv").loadings_sd.shape == (2, 3)
+
+
+def test_the_example_of_points_on_the_page_has_the_columns_that_are_written(tmp_path):
+    (example,) = re.findall(r"```\n(frame,.*?)```", (DATA_SPEC / "points-table.md").read_text(), re.DOTALL)
+    written("points-table", tmp_path)
+    assert example.splitlines()[0] == (tmp_path / "file.csv").read_text().splitlines()[0]
 
 
 def test_a_sidecar_round_trips_and_a_faceframe_is_read(tmp_path):

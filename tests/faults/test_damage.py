@@ -3,10 +3,12 @@
 import random
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from morphspace.errors import MorphspaceError
-from morphspace.io import flow_fields, images, points, sidecars, tables, video
+from morphspace.io import flow_fields, images, points, points_table, sidecars, tables, video
+from morphspace.io.clips import Clip
 from morphspace.io.recipe import grammar
 from morphspace.io.stimulus_sidecars import read_stimulus_sidecar
 from morphspace.model.file import read_model_file
@@ -53,6 +55,7 @@ SUFFIXES = {
     "stimulus": ".json",
     "recipe": ".yaml",
     "points": ".tem",
+    "track": ".csv",
     "png": ".png",
     "exr": ".exr",
     "jpg": ".jpg",
@@ -66,7 +69,8 @@ READERS = {
     "metrics": tables.read_metrics_table,
     "clip": sidecars.read_sidecar,
     "stimulus": read_stimulus_sidecar,
-    "points": points._read_landmarks,
+    "points": points.read_landmarks,
+    "track": lambda path: points_table.read_points(path, CLIP, "three", 3),
     "png": images.read_image,
     "exr": images.read_image,
     "jpg": images.read_image,
@@ -77,6 +81,7 @@ READERS = {
         path, {name: verb.settings for name, verb in recipe_verbs().items()}
     ),
 }
+CLIP = Clip("c", ("a",), (60, 72), sidecars.Sidecar(), (Path("a.png"),), None)
 EXACT = ("model", "lossless")  # what they hold is checked: damage is refused, or is outside of what is read
 
 
@@ -98,6 +103,8 @@ def samples(inputs, tmp_path_factory):
     for kind, encoding in (("lossless", "lossless"), ("video", "people")):
         video.write_video(made[kind], [picture, picture[::-1]], frame_rate_hz=25, encoding=encoding)
     marks = [f"{x} {y}" for x, y in ((17, 24), (31, 24), (24, 38))]
+    marked = points_table.FramePoints(np.array([[17.0, 24.0], [31.0, 24.5], [24.0, 38.25]]))
+    points_table.write_points_table(made["track"], {"a": marked}, 3, {"scheme": "three", "size": [60, 72]})
     made["points"].write_text("\n".join([str(len(marks)), *marks, "0"]) + "\n")
     return made
 

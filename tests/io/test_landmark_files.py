@@ -5,7 +5,7 @@ import pytest
 from numpy.testing import assert_array_equal
 
 from morphspace.errors import BadInput, UnreadableFile
-from morphspace.io.points import _read_landmarks, read_landmark_pair
+from morphspace.io.points import read_landmark_pair, read_landmarks
 
 POINTS = [[170.0, 253.5], [276.5, 249.5], [-2.0, 1e3]]
 TEM = "3\n170.00\t253.50\n276.50\t249.50\n-2\t1e3\n2\n0\n2\n0 1\n0\n3\n0 1 2\n"
@@ -41,7 +41,7 @@ def file(tmp_path):
     ],
 )
 def test_every_form_gives_the_same_points(file, name, content):
-    points = _read_landmarks(file(name, content))
+    points = read_landmarks(file(name, content))
     assert points.dtype == np.float64
     assert_array_equal(points, POINTS)
 
@@ -83,7 +83,7 @@ def test_every_form_gives_the_same_points(file, name, content):
 )
 def test_what_is_wrong_is_named_with_its_line(file, name, content, mentioned):
     with pytest.raises(BadInput, match=mentioned) as error:
-        _read_landmarks(file(name, content))
+        read_landmarks(file(name, content))
     assert name in str(error.value) and "\n" not in str(error.value)
 
 
@@ -100,14 +100,14 @@ def test_what_is_wrong_is_named_with_its_line(file, name, content, mentioned):
 )
 def test_what_is_no_text_is_unreadable(file, name, content, mentioned):
     with pytest.raises(UnreadableFile, match=mentioned):
-        _read_landmarks(file(name, content))
+        read_landmarks(file(name, content))
 
 
 def test_a_missing_file_and_a_folder_are_unreadable(tmp_path):
     (tmp_path / "folder.tem").mkdir()
     for name in ("nowhere.tem", "folder.tem"):
         with pytest.raises(UnreadableFile, match=name):
-            _read_landmarks(tmp_path / name)
+            read_landmarks(tmp_path / name)
 
 
 def test_a_pair_has_as_many_points_in_both_whatever_their_form(file):
@@ -128,4 +128,4 @@ def test_a_row_of_empty_cells_between_landmarks_is_a_missing_one(file, content, 
     with pytest.raises(
         BadInput, match=rf"a\.csv, line {line}: landmark {place} is '', which marks it as missing"
     ):
-        _read_landmarks(file("a.csv", content))
+        read_landmarks(file("a.csv", content))

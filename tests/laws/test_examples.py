@@ -62,6 +62,7 @@ NO_EXAMPLE = {
         face.detector.fetch: download_with_pip, downloaded, read_from, write_files; face.detector.models: state_of
         face.expression: distance_from_neutral, expression_of, mean_gap
         face.regions: inside_outline, origin_of_mask, place_of_mask, skin_share
+        face.track: framed_points, given_points
         imitation.imitator: imitator_of; model.keypoints: required_landmarks, with_detected
         model.landmarks: error_summary; transfer.quality: reach_of""",
     "words, records and tables of one verb": """

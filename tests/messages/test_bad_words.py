@@ -31,6 +31,9 @@ def lab(model, picture, tmp_path_factory):
         person.with_faceframe(FaceFrame((x, 30.0), (44.0, 30.0), (32.0, 50.0))).save(folder / f"{name}.morph")
     rows = Loadings(model.training.values[:3], model.training.frame_names[:3], model.model_id)
     write_loadings(folder / "t.csv", rows, model, folder / "m.morph", {})
+    (folder / "nan.csv").write_text(
+        f"frame,point,x_px,y_px\n{rows.frame_names[0]},0,1,2\n{rows.frame_names[0]},1,nan,2\n"
+    )
     (folder / "recipe.yaml").write_text("model: m.morph\nstimuli:\n  - verb: sample\n    n: 2\n")
     (folder / "dangling").symlink_to("gone")
     (folder / "clip").mkdir()
@@ -130,6 +133,16 @@ BAD = (
     ("encode plain.morph clip -o /", ".csv output.csv"),
     ("encode plain.morph clip -o clip/..", "clip/.. output.csv"),
     ("build-model clip -o .", ".morph output.morph"),
+    ("build-model clip --landmarks nowhere.csv", "nowhere.csv"),
+    ("build-model clip --landmarks never", "never .csv .tem"),
+    ("build-model clip --landmarks nan.csv", "nan.csv line x_px 'nan' number"),
+    ("encode m.morph clip -o o.csv --landmarks nan.csv", "nan.csv x_px 'nan'"),
+    ("encode m.morph clip -o o.csv --landmarks t.csv", "t.json format"),
+    ("track clip -o t.csv", "models fetch"),
+    ("track clip -o p.tsv", "models fetch"),
+    ("track nowhere -o p.csv", "nowhere"),
+    ("track clip -o p.csv --from nan.csv", "nan.csv x_px 'nan'"),
+    ("track clip -o p.csv --from clip", "clip .tem"),
     ("build-model clip -o x.morph --report .", ".html output.html"),
     ("blend-avatar anna.morph ben.morph -o .", ".morph output.morph"),
     ("blend-avatar anna.morph ben.morph -o /", ".morph output.morph"),

@@ -84,7 +84,7 @@ def rate_in(verb):
 def test_every_verb_that_reads_a_clip_has_the_options_with_one_declaration():
     own = settings_of(ClipOptions)
     assert tuple(field.name for field in own) == CLIP_OPTIONS
-    with_clips = {"blend-avatar", "continuum", *RUNS}
+    with_clips = {"blend-avatar", "continuum", "track", *RUNS}
     for verb in all_verbs():
         found = [field for field in settings_of(verb.request) if field.name in CLIP_OPTIONS]
         assert (tuple(found) == own) == (verb.name in with_clips), verb.name
