@@ -133,14 +133,14 @@ def turn_words(track: Mapping[str, Any] | None) -> str:
 
     Examples
     --------
-    >>> known = {"frames": 9, "frames_turned": 2, "yaw_deg": [-25, 3], "pitch_deg": [-2, 9], "roll_deg": [0, 4]}
+    >>> known = {"frames": 9, "frames_turned": 2, "yaw_deg": [-25, 3], "pitch_deg": [-2, 9], "roll_deg": [-0.3, 4]}
     >>> turn_words(known)
     'yaw -25 to 3, pitch -2 to 9, roll 0 to 4 degrees; 2 of 9 frames are turned by more than 20'
     """
     if not track or "yaw_deg" not in track:
         return ""
     ranges = [(name, *track[f"{name}_deg"]) for name in ("yaw", "pitch", "roll")]
-    words = ", ".join(f"{name} {low:.0f} to {high:.0f}" for name, low, high in ranges)
+    words = ", ".join(f"{name} {round(low)} to {round(high)}" for name, low, high in ranges)
     far = f"{track['frames_turned']} of {track['frames']} frames are turned by more than {MAX_TURN_DEG:.0f}"
     return f"{words} degrees; {far}"
 
