@@ -232,8 +232,9 @@ def test_given_points_are_used_as_they_are_and_the_other_frames_are_searched(cli
 def test_a_build_holds_a_frame_to_given_points_and_says_so(clip, tmp_path):
     moved = neutral_points() + np.array([2.0, 0.0])
     given = GivenPoints({clip.names[4]: FacePoints(moved, 1.0)}, {"file": "points.csv", "sha256": "0" * 64})
-    build = built(clip, tmp_path / "given", replace(SETTINGS, registration="none", given=given))
-    plain = built(clip, tmp_path / "plain", replace(SETTINGS, registration="none"))
+    plain = built(clip, tmp_path / "work", replace(SETTINGS, registration="none"))
+    # The same work folder: the frame that was held to other points is not reused.
+    build = built(clip, tmp_path / "work", replace(SETTINGS, registration="none", given=given))
     assert_allclose(build.frame(4)[0].points, moved)
     centre = (slice(34, 46), slice(24, 36))
     shift = build.frame(4)[1].displacement[centre] - plain.frame(4)[1].displacement[centre]

@@ -5,21 +5,24 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from numpy.testing import assert_allclose
+from numpy.testing import assert_allclose, assert_array_equal
 
 from morphspace.errors import BadInput
 from morphspace.face import anchor as anchor_room
 from morphspace.face.detector import Detector
 from morphspace.face.mesh import LEFT_LIDS, LIPS, PHILTRUM, POINT_COUNT, RIGHT_LIDS, FacePoints
 from morphspace.face.track import framed_points, given_points
+from morphspace.grid import warp
 from morphspace.io.clips import open_clip
 from morphspace.io.framing import FramedClip, Framing
 from morphspace.io.images import write_image
 from morphspace.io.tables import read_loadings_table
+from morphspace.model import encode as encode_room
 from morphspace.model import from_clip
 from morphspace.model.encode import encoded_frames
 from morphspace.model.from_clip import ClipSettings, build_clip
-from morphspace.model.model import load_model
+from morphspace.model.loadings import Loadings
+from morphspace.model.model import MorphModel, load_model
 from morphspace.steps import result_of
 from morphspace.storage import digest_of_file
 from morphspace.verbs import encode
@@ -155,7 +158,7 @@ def built(lab, monkeypatch, landmarks, name):
     detector = Detector(Seeing(), {"version": 1})
     monkeypatch.setattr(from_clip, "load_detector", lambda person: detector)
     monkeypatch.setattr(from_clip, "detector_for", lambda landmarks, person: (detector, ()))
-    settings = ClipSettings(components=3, flow="dis", warp_weight=0.05, landmarks=landmarks, size=(60, 72))
+    settings = ClipSettings(components=3, flow="dis", warp_weight=0.05, landmarks=landmarks, size=(90, 108))
     return result_of(build_clip(open_clip(["clip"]), settings, lab / name))[0]
 
 
@@ -167,10 +170,34 @@ def test_a_build_uses_given_points_records_their_file_and_finds_the_others(lab, 
     build = built(lab, monkeypatch, lab / "some.csv", "work")
     assert build.track.given.tolist() == [name == "frame_005" for name in clip.names]
     assert build.track.words == "given in 1 of 9 frames, found in 7 of the other 8"
+    frame, _ = build.frame(5)
+    # Pixel centres are integers: the corner of the picture is at -.5 in both.
+    framed = 1.5 * (np.round(FOUND, 3) + 0.5) - 0.5
+    assert_allclose(warp.apply_affine(frame.registration, frame.points), framed, atol=1e-6)
     told = build.model.provenance["landmarks"]
     assert told["given"] == {"file": "some.csv", "sha256": digest_of_file(lab / "some.csv")}
     assert told["frames_given"] == 1 and told["frames_with_face"] == len(clip.names) - 1
     assert built(lab, monkeypatch, "auto", "plain").track.words == "found in 8 of 9 frames"
+
+
+def test_a_frame_of_the_build_with_other_points_does_not_start_from_its_loadings(lab, model, monkeypatch):
+    tracked("points.csv")
+    told = {"landmarks": {"reference_has_face": True, "held": True}}
+    held = replace(model, provenance={**model.provenance, **told}, registration="similarity")
+    monkeypatch.setattr(anchor_room, "load_detector", lambda person: Detector(Seeing(), {"version": 1}))
+    monkeypatch.setattr(encode_room, "rows_of_build", lambda model, source: tuple(range(9)))
+    starts = {}
+
+    def fit(model, frame, start):
+        starts[frame.name] = start
+        return Loadings(start[None], (frame.name,), model.model_id)
+
+    monkeypatch.setattr(MorphModel, "fit", fit)
+    source = FramedClip(open_clip(["clip"]), Framing((WIDTH, HEIGHT), None, (WIDTH, HEIGHT)))
+    for encoded in encoded_frames(held, source, given=framed_points(lab / "points.csv", source)):
+        name, row = encoded.frame.name, source.names.index(encoded.frame.name)
+        expected = held.training.values[row] if name == BLIND else held.project(encoded.morph)
+        assert_array_equal(starts[name], expected)
 
 
 def test_encoding_uses_given_points_and_refuses_them_without_face_points_in_the_model(
