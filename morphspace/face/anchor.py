@@ -2,9 +2,9 @@
 
 Where the frame shows what the reference cannot show, teeth or a closed lid, the best match of colours is not the right
 match of points: the flow paints an opening mouth as a change of colour. A start does not help, since the flow leaves
-it. So the thin-plate spline through the face points is taken out of the frame first. The flow estimates the remainder,
-up to `MOST_BEYOND`, and not at all at lips and lids. Lips then match lips, and lids match lids, in every model.
-Registration starts from the movement of the points on the skull.
+it. So the thin-plate spline through the face points is taken out of the frame first; lips and openings are linear
+between them (`face.rims`). The flow estimates the remainder, up to `MOST_BEYOND`, and not at all at lips and lids. Lips
+then match lips, and lids match lids, in every model. Registration starts from the movement of the points on the skull.
 
 References
 ----------
@@ -30,6 +30,7 @@ from morphspace.face.faceframe import Frame
 from morphspace.face.mesh import (
     FACE_OUTLINE,
     GIVEN_SCORE,
+    INNER_LIPS,
     LEFT_BROW,
     LEFT_LIDS,
     LIPS,
@@ -41,6 +42,7 @@ from morphspace.face.mesh import (
     FacePoints,
 )
 from morphspace.face.registration import fitted_similarity
+from morphspace.face.rims import completed, rims_of
 from morphspace.flow import Flow, FlowFunction
 from morphspace.flow.folds import unfolded
 from morphspace.grid import warp
@@ -86,8 +88,9 @@ class FaceAnchor:
         `find` estimates the remainder; it gets a frame without a face unchanged. The `holding` points of the mesh
         hold the flow. The face is searched in a frame whose points are None.
         """
-        places = list(holding)
+        places = [place for place in holding if place not in INNER_LIPS]
         through = spline_from(self.face.points[places], height, width)
+        rims = rims_of(self.face.points, height, width)
         eyes_px = self.face.interocular_px
         lips_and_lids = (OUTER_LIPS, RIGHT_LIDS, LEFT_LIDS)
         free = np.minimum(_distance_px(self.face, lips_and_lids, height, width) / (HELD_AROUND * eyes_px), 1)
@@ -99,8 +102,9 @@ class FaceAnchor:
             points = points_of(self.detector(frame.image)) if frame.points is None else frame.points
             if not len(points):
                 return find(frame.image, None)
+            points = rims.parted(completed(points, self.face.points, holding))
             # Points of a turned head may change sides.
-            spline = unfolded(near * through(points[places]))
+            spline = unfolded(rims.filled(near * through(points[places]), points))
             rest = find(warp.sample(frame.image, spline), None)
             length = np.maximum(np.hypot(*cv2.split(rest.displacement)) / most_px, TINY)
             beyond = rest.displacement * (free * np.tanh(length) / length)[..., None].astype(np.float32)
@@ -161,14 +165,22 @@ def anchor_of_build(
         raise BadInput("the model was built with --landmarks anchor, which is no more. Build the model again")
     found_by = entry.get("detector")
     chosen = person_of(found_by.get("person") if isinstance(found_by, Mapping) else None)
-    detector, points = load_detector(person=chosen), entry.get("reference_points")
-    face = FacePoints(np.array(points), GIVEN_SCORE) if points else detector(np.array(reference))
+    detector = load_detector(person=chosen)
+    face = face_of_reference(reference, provenance, detector)
     if face is None:
         raise BadInput(
             "the detector finds no face in the reference, where the build found one. Build the model again with this "
             "morphspace"
         )
     return FaceAnchor(detector if person is None else load_detector(person=person), face)
+
+
+def face_of_reference(
+    reference: Image, provenance: Mapping[str, Any], detector: Detector
+) -> FacePoints | None:
+    """Return the face in a model's reference (h, w, 3): as it was given to the build, or detected; None without one."""
+    points = provenance["landmarks"].get("reference_points")
+    return FacePoints(np.array(points), GIVEN_SCORE) if points else detector(np.array(reference))
 
 
 def was_held(provenance: Mapping[str, Any]) -> bool:

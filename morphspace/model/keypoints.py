@@ -15,6 +15,7 @@ import numpy as np
 
 from morphspace.arrays import Affine, AnyArray, Mask, Points
 from morphspace.errors import BadInput
+from morphspace.face.anchor import face_of_reference, was_held
 from morphspace.face.detector import Detector
 from morphspace.face.faceframe import FaceFrame
 from morphspace.face.mesh import POINT_COUNT, SCHEME
@@ -366,6 +367,10 @@ def detect_faceframe(model: MorphModel, detect: Detector, *, faces: int = FACES)
     points = np.median(stack, axis=0)
     spread_px = np.median(np.hypot(*np.moveaxis(stack - points, -1, 0)), axis=0)
     faceframe, _ = checked_faceframe(points[:3], model.size, "the detector")
+    own = face_of_reference(model.reference, model.provenance, detect) if was_held(model.provenance) else None
+    if own is not None:
+        # The warp carries the reference's own points to those of each frame; medians miss them by up to a px.
+        points[3:] = reference_to_mean(model, own.points)
     learned = None
     if points[3:].shape == (POINT_COUNT, 2) and len(detected_points) >= LEAST_FACES and model.rank > 0:
         by_warp = moved_by_components(model, points[3:])

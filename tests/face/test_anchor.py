@@ -147,12 +147,14 @@ def test_what_the_flow_does_not_find_the_points_do_within_the_face_and_less_and_
     assert_allclose(flow.displacement[y, x], (4.0 * share, -3.0 * share), atol=0.15)
 
 
-def test_the_flow_sees_the_frame_with_the_spline_taken_out(picture, wavy_field):
-    reference, field = picture(HEIGHT, WIDTH), wavy_field(HEIGHT, WIDTH, 2.0)
+def test_the_flow_sees_the_frame_with_the_spline_taken_out(picture, wavy_field, drawn_anna):
+    face = drawn_anna.points()
+    height, width = drawn_anna.model.mask.shape
+    reference, field = picture(height, width), wavy_field(height, width, 2.0)
     frame = warp.render(reference, field)
-    found = warp.move_points(field, points())
-    find, seen = constant(0.0, 0.0)
-    FaceAnchor(BLIND, FacePoints(points(), 0.9)).held(find, HEIGHT, WIDTH)(frame_of(frame, found))
+    found = warp.move_points(field, face.points)
+    find, seen = constant(0.0, 0.0, height, width)
+    FaceAnchor(BLIND, face).held(find, height, width)(frame_of(frame, found))
     inside = (slice(12, -12), slice(12, -12))
     assert (
         np.abs(seen[0][inside] - reference[inside]).mean()
