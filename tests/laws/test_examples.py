@@ -58,7 +58,7 @@ def test_every_public_function_has_an_example(name):
 ROOMS = ("avatar", "face", "flow", "grid", "imitation", "io", "linear", "model", "stimuli", "transfer")
 NO_EXAMPLE = {
     "the networks, or what they find": """
-        face.anchor: anchor_of_build, points_of, rigid_movement, was_held; face.crop: several_notes
+        face.anchor: anchor_of_build, face_of_reference, points_of, rigid_movement, was_held; face.crop: several_notes
         face.detector.fetch: download_with_pip, downloaded, read_from, write_files; face.detector.models: state_of
         face.expression: distance_from_neutral, expression_of, mean_gap
         face.regions: inside_outline, origin_of_mask, place_of_mask, skin_share
