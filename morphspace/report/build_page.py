@@ -11,7 +11,7 @@ import numpy as np
 from markupsafe import Markup
 
 from morphspace.arrays import AnyArray
-from morphspace.face.mesh import FEATURES
+from morphspace.face.mesh import FEATURES, OPENINGS
 from morphspace.face.regions import mouth_surroundings, rigid_region
 from morphspace.face.track import turn_words
 from morphspace.model.carried import FRAMES
@@ -202,11 +202,15 @@ def _marked(model: MorphModel, mean: AnyArray) -> Markup:
 
 
 def _carried(build: Build) -> list[tuple[str, ...]]:
-    """Return a row for each feature: left over, slope by the warp alone, and motion."""
+    """Return a row for each feature: left over, slope by the warp alone, and motion; an opening has a slope only."""
     if build.carried is None:
         return []
     figures = (build.carried.left_over, build.carried.slopes, build.carried.motion)
-    return [(name, *(f"{value:.2f}" for value in row)) for name, *row in zip(FEATURES, *figures, strict=True)]
+    features = [
+        (name, *(f"{value:.2f}" for value in row)) for name, *row in zip(FEATURES, *figures, strict=True)
+    ]
+    openings = zip(OPENINGS, build.carried.openings, strict=True)
+    return [*features, *((name, "", f"{slope:.2f}", "") for name, slope in openings)]
 
 
 def _sheet(build: Build, figures: FrameFigures) -> list[Panel]:

@@ -144,10 +144,48 @@ def test_left_over_and_slope_are_shares_of_the_motion():
     assert_allclose(figures(true, true, 50.0).motion, np.sqrt(2 * 8 / 9) / 50, rtol=0.1)
 
 
+def test_openings_have_slopes_of_their_own():
+    """Lips that open half as far as in the frames; a motion that both rims share counts in no opening."""
+    true = np.full((9, POINT_COUNT, 2), 50.0)
+    made = true.copy()
+    far = np.linspace(0, 8, 9)[:, None]
+    shared = np.sin(np.arange(9))[:, None]
+    lower, lids = list(INNER_LIPS[11:]), list(RIGHT_LIDS[9:])
+    true[:, lower, 1] += far
+    made[:, lower, 1] += far / 2
+    true[:, lids, 1] += far
+    made[:, lids, 1] += far / 4
+    made[:, list(INNER_LIPS), 0] += shared
+    assert_allclose(figures(true, made, 50.0).openings, [0.5, 0.25])
+
+
+def test_features_that_stand_still_leave_nothing_over():
+    still = np.full((9, POINT_COUNT, 2), 50.0)
+    found = figures(still, still, 50.0)
+    assert (found.left_over == 0).all() and (found.slopes == 1).all() and (found.openings == 1).all()
+    assert (found.motion == 0).all()
+
+
+def test_a_blink_is_among_the_frames_beside_wider_mouths(make, monkeypatch):
+    """Every other mouth is further from the reference, in px, than the closed eyes are."""
+    faces = [drawn_points() for _ in range(COUNT)]
+    for number, face in enumerate(faces):
+        face[list(OUTER_LIPS[11:] + INNER_LIPS[11:]), 1] += 0.6 * number
+    faces[6] = faces[0].copy()
+    upper = list(RIGHT_LIDS[9:] + LEFT_LIDS[9:])
+    faces[6][upper, 1] += 0.3
+    judged = []
+    monkeypatch.setattr("morphspace.model.carried.figures", lambda true, made, eyes_px: judged.append(true))
+    result_of(carried_steps(*make(faces)))
+    assert np.nanmax(judged[0][:, upper] - faces[0][upper]) == pytest.approx(0.3)
+
+
 def test_a_model_is_described_by_what_its_build_recorded():
     entry = {"frames": 9, **{kind: dict.fromkeys(FEATURES, 0.5) for kind in ("left_over", "slope", "motion")}}
+    entry["opening_slope"] = {"mouth opening": 0.75, "eye opening": 0.5}
     lines = quality_lines(
         {"warp_weight_trials": [[0.1, 30.0], [0.2, 31.04]], "landmarks": {"carried": entry}}
     )
     assert "31.0 dB" in lines[0] and "outer lips 0.50" in lines[1] and "9 frames" in lines[2]
+    assert "mouth opening 0.75" in lines[2]
     assert quality_lines({"warp_weight_trials": [], "landmarks": None}) == ()

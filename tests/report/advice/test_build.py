@@ -53,6 +53,7 @@ def carried_with(left_over, slope, motion):
         np.array([1, slope, 1, 1.0]),
         np.array([0.1, motion, 0.1, 0.1]),
         9,
+        np.array([0.71, 0.82]),
     )
 
 
@@ -65,7 +66,9 @@ def test_motion_that_texture_paints_is_told_by_feature(clean, figures, is_told):
     assert set(found) == ({"carried"} if is_told else set())
     assert not is_told or "motion of inner lips (left over 0.80, slope 0.30): it" in found["carried"]
     page = build_page(build, clean.figures)
-    assert f"<td>{figures[0]:.2f}</td>" in page and "was not estimated" not in page
+    assert (
+        f"<td>{figures[0]:.2f}</td>" in page and "<td>0.71</td>" in page and "was not estimated" not in page
+    )
     assert "was not estimated" in build_page(clean.build, clean.figures)
 
 
