@@ -49,7 +49,7 @@ GROUPS: Mapping[str, tuple[int, ...]] = {
 """The landmarks by group: mesh points of the features that move with expression, and of the face's outline."""
 FEATURES = ("outer lips", "inner lips", "brows", "lids")
 """The groups that move with expression."""
-OPENINGS = ("mouth opening", "eye opening")
+APERTURES = ("mouth opening", "eye opening")
 """Distances between inner lips and between lids."""
 LANDMARKS: tuple[int, ...] = tuple(place for places in GROUPS.values() for place in places)
 """All landmarks, in the order of the groups."""

@@ -20,7 +20,18 @@ import numpy as np
 from morphspace.arrays import AnyArray, Displacement
 from morphspace.cache import is_finished, read_result, result_file, write_result
 from morphspace.face.anchor import HELD
-from morphspace.face.mesh import FEATURES, GROUPS, INNER_LIPS, LEFT_LIDS, OPENINGS, POINT_COUNT, RIGHT_LIDS
+from morphspace.face.mesh import (
+    APERTURES,
+    FEATURES,
+    GROUPS,
+    INNER_LIPS,
+    LEFT_BROW,
+    LEFT_LIDS,
+    OUTER_LIPS,
+    POINT_COUNT,
+    RIGHT_BROW,
+    RIGHT_LIDS,
+)
 from morphspace.flow import methods
 from morphspace.grid import warp
 from morphspace.model.work_frames import FramePlan, read_points, read_work_frame
@@ -29,6 +40,8 @@ from morphspace.steps import Step, Steps, in_order
 CARRIED_FORMAT = "morphspace-carried-1"
 THIRDS = 3  # every third point of a feature is left out; all are, in turn
 FRAMES = 9  # frames that are estimated again, three for each third: 4 % of the time of a build of 72 frames
+# The rings of the `FEATURES`.
+_RINGS = ((OUTER_LIPS,), (INNER_LIPS,), (RIGHT_BROW, LEFT_BROW), (RIGHT_LIDS, LEFT_LIDS))
 # Half rings of points without corners, whose difference opens mouth and eyes.
 _RIMS = {
     "mouth opening": ((INNER_LIPS[1:10], INNER_LIPS[11:]),),
@@ -40,7 +53,7 @@ LEAST_MOTION = 0.01
 
 @dataclass(frozen=True, eq=False)
 class Carried:
-    """The figures of each of the `FEATURES` (4,) and `OPENINGS` (2,), estimated from so many frames.
+    """The figures of each of the `FEATURES` (4,) and `APERTURES` (2,), estimated from so many frames.
 
     Attributes
     ----------
@@ -65,7 +78,7 @@ class Carried:
                 name: dict(zip(FEATURES, values.round(3).tolist(), strict=True))
                 for name, values in figures.items()
             },
-            "opening_slope": dict(zip(OPENINGS, self.openings.round(3).tolist(), strict=True)),
+            "opening_slope": dict(zip(APERTURES, self.openings.round(3).tolist(), strict=True)),
         }
 
 
@@ -102,18 +115,21 @@ def quality_lines(provenance: Mapping[str, Any]) -> tuple[str, ...]:
 def left_out(third: int) -> tuple[int, ...]:
     """Return the points of the mesh that one of `THIRDS` leaves out: every third of each feature.
 
-    Lips are counted from different starts, so that no point and its neighbour on the other rim are left out together.
+    Neighbours on a rim are not left out together. Lips are counted from different starts, so that no point and its
+    neighbour on the other rim of the lip are.
 
     Examples
     --------
     >>> len(left_out(0)), len({*left_out(0), *left_out(1), *left_out(2)})
-    (31, 92)
+    (29, 92)
     """
     return tuple(
         place
-        for shift, name in enumerate(FEATURES)
-        for number, place in enumerate(GROUPS[name])
-        if (number + shift) % THIRDS == third
+        for shift, rings in enumerate(_RINGS)
+        for ring in rings
+        for number, place in enumerate(ring)
+        # The first of 3 n + 1 points lies between the last, of its own third, and the second.
+        if (number + shift - (number == 0 and len(ring) % THIRDS == 1)) % THIRDS == third
     )
 
 

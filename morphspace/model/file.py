@@ -25,7 +25,7 @@ from morphspace.documents import (
 )
 from morphspace.errors import ModelFileError, UnreadableFile
 from morphspace.face.faceframe import RegistrationKind
-from morphspace.face.mesh import FEATURES, GROUPS, LANDMARKS, OPENINGS
+from morphspace.face.mesh import APERTURES, FEATURES, GROUPS, LANDMARKS
 from morphspace.settings import Called
 from morphspace.storage import digest_of_array, digest_of_json, read_container
 
@@ -79,7 +79,7 @@ class CarriedEntry(TypedDict):
     left_over: Figures
     slope: Figures
     motion: Figures
-    opening_slope: Annotated[dict[str, float], Holds(OPENINGS)]
+    opening_slope: Annotated[dict[str, float], Holds(APERTURES)]
 
 
 class SearchEntry(TypedDict, total=False):

@@ -11,7 +11,7 @@ import numpy as np
 from markupsafe import Markup
 
 from morphspace.arrays import AnyArray
-from morphspace.face.mesh import FEATURES, OPENINGS
+from morphspace.face.mesh import APERTURES, FEATURES
 from morphspace.face.regions import mouth_surroundings, rigid_region
 from morphspace.face.track import turn_words
 from morphspace.model.carried import FRAMES
@@ -209,7 +209,7 @@ def _carried(build: Build) -> list[tuple[str, ...]]:
     features = [
         (name, *(f"{value:.2f}" for value in row)) for name, *row in zip(FEATURES, *figures, strict=True)
     ]
-    openings = zip(OPENINGS, build.carried.openings, strict=True)
+    openings = zip(APERTURES, build.carried.openings, strict=True)
     return [*features, *((name, "", f"{slope:.2f}", "") for name, slope in openings)]
 
 

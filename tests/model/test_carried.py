@@ -111,6 +111,20 @@ def test_thirds_leave_out_every_point_of_the_features_once():
     assert {*every} <= {*HELD}
 
 
+@pytest.mark.parametrize("third", range(THIRDS))
+def test_a_point_that_judges_has_neighbours_that_hold(third):
+    """On its rim both, and the one on the other rim of the lip."""
+    out = left_out(third)
+    for ring in (INNER_LIPS, RIGHT_LIDS, LEFT_LIDS):  # each rim of an opening is judged
+        half = len(ring) // 2
+        assert {*ring[1:half]} & {*out} and {*ring[half + 1 :]} & {*out}
+    for ring in (OUTER_LIPS, INNER_LIPS, RIGHT_BROW, LEFT_BROW, RIGHT_LIDS, LEFT_LIDS):
+        assert not any(
+            one in out and other in out for one, other in zip(ring, ring[1:] + ring[:1], strict=True)
+        )
+    assert not any(one in out and other in out for one, other in zip(OUTER_LIPS, INNER_LIPS, strict=True))
+
+
 @pytest.mark.parametrize("faces", [FRAMES, FRAMES + 1])
 def test_too_few_faces_give_no_figures(make, faces):
     """The reference is one of the faces, and judges nothing."""
