@@ -49,8 +49,8 @@ GROUPS: Mapping[str, tuple[int, ...]] = {
 """The landmarks by group: mesh points of the features that move with expression, and of the face's outline."""
 FEATURES = ("outer lips", "inner lips", "brows", "lids")
 """The groups that move with expression."""
-APERTURES = ("mouth opening", "eye opening")
-"""Distances between inner lips and between lids."""
+APERTURES: Mapping[str, str] = {"mouth opening": "inner lips", "eye opening": "lids"}
+"""Distances between both rims of a feature."""
 LANDMARKS: tuple[int, ...] = tuple(place for places in GROUPS.values() for place in places)
 """All landmarks, in the order of the groups."""
 # Points that move with the skull: corners of the eyes, root, ridge and base of the nose.

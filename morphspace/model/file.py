@@ -79,7 +79,7 @@ class CarriedEntry(TypedDict):
     left_over: Figures
     slope: Figures
     motion: Figures
-    opening_slope: Annotated[dict[str, float], Holds(APERTURES)]
+    opening_slope: Annotated[dict[str, float], Holds(tuple(APERTURES))]
 
 
 class SearchEntry(TypedDict, total=False):

@@ -13,7 +13,7 @@ from typing import Literal
 import numpy as np
 
 from morphspace.arrays import Affine, AnyArray
-from morphspace.face.mesh import FEATURES, MAX_TURN_DEG
+from morphspace.face.mesh import APERTURES, FEATURES, MAX_TURN_DEG
 from morphspace.flow.baselines import LUMA
 from morphspace.model.passes import Build
 from morphspace.report.frames import FrameFigures
@@ -257,21 +257,26 @@ def _flow_unsure(case: Case) -> Iterator[str]:
 
 
 def _painted_motion(case: Case) -> Iterator[str]:
-    """Advise if the warp misses the motion of a feature, which texture then paints."""
+    """Advise if the warp misses the motion of a feature, or an opening, which texture then paints."""
     carried = case.build.carried
     if carried is None:
         return
     moves = carried.motion >= CARRIED_MOTION
     missed = moves & (carried.left_over > CARRIED_LEFT) & (carried.slopes < CARRIED_SLOPE)
-    if missed.any():
-        words = ", ".join(
-            f"{FEATURES[row]} (left over {carried.left_over[row]:.2f}, slope {carried.slopes[row]:.2f})"
-            for row in np.flatnonzero(missed)
-        )
+    words = [
+        f"{FEATURES[row]} (left over {carried.left_over[row]:.2f}, slope {carried.slopes[row]:.2f})"
+        for row in np.flatnonzero(missed)
+    ]
+    words += [
+        f"{name} (slope {slope:.2f})"
+        for (name, feature), slope in zip(APERTURES.items(), carried.openings, strict=True)
+        if moves[FEATURES.index(feature)] and slope < CARRIED_SLOPE
+    ]
+    if words:
         yield (
-            f"The warp misses much of the motion of {words}: it is painted by texture, and will not be driven or "
-            "caricatured as motion. Choose a reference with parted lips and open eyes, leave out frames in which a "
-            "hand hides the face, or use larger frames."
+            f"The warp misses much of the motion of {', '.join(words)}: it is painted by texture, and will not be "
+            "driven or caricatured as motion. Choose a reference with parted lips and open eyes, leave out frames in "
+            "which a hand hides the face, or use larger frames."
         )
 
 

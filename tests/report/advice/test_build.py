@@ -72,6 +72,22 @@ def test_motion_that_texture_paints_is_told_by_feature(clean, figures, is_told):
     assert "was not estimated" in build_page(clean.build, clean.figures)
 
 
+@pytest.mark.parametrize(
+    ("slope", "motion", "is_told"), [(0.5, 0.05, True), (0.5, 0.01, False), (0.9, 0.05, False)]
+)
+def test_an_opening_that_texture_paints_is_told(clean, slope, motion, is_told):
+    """Eyes that hardly move are not judged, whatever their slope."""
+    carried = replace(
+        carried_with(0.1, 1, motion),
+        motion=np.array([0.1, motion, 0.1, 0.01]),
+        openings=np.array([slope, 0.3]),
+    )
+    case = replace(clean, build=replace(clean.build, carried=carried))
+    found = {advice.rule: advice.text for advice in advice_for(case)}
+    assert set(found) == ({"carried"} if is_told else set())
+    assert not is_told or "the motion of mouth opening (slope 0.50): it" in found["carried"]
+
+
 def test_clean_build_gets_no_advice(clean):
     assert advice_for(clean) == ()
     page = build_page(clean.build, clean.figures)
