@@ -32,8 +32,8 @@ MOUTH_CLOSED = 0.12  # of that reach; on six clips two shut references lay below
 MOUTH_SLIGHTLY_OPEN = (0.2, 0.6)  # of that reach; the paper asks for some teeth and a dark gap
 FOLD_SHARE = 0.01  # of the cells inside the mask; folds this large are seen as smears
 CONFIDENCE_LOW = 0.5  # mean inside the mask; below it more of the face is filled in than was found
-# On eight `tune` people features that move by .02 eye distances or more leave over .03 to .5 and have slopes from .9, but
-# for the brows of one (.79, .49). Openings have slopes from .81; .35 where an earlier field painted a wide mouth.
+# On eight `tune` people features that move by .02 eye distances or more leave over .03 to .5 and have slopes from .9,
+# but for the brows of one (.79, .49). Openings have slopes from .81; .35 where an earlier field painted a wide mouth.
 CARRIED_MOTION = 0.02  # eye distances; of less, much is the detector's noise
 CARRIED_LEFT, CARRIED_SLOPE = 0.6, 0.6  # of a feature's motion; the warp then misses about half of it
 PSNR_LOW_DB = 30.0  # below it a rebuilt frame visibly differs from the original
