@@ -18,6 +18,11 @@ from morphspace.face.mesh import INNER_LIPS, LEFT_LIDS, OUTER_LIPS, RIGHT_LIDS
 
 OPENINGS = (INNER_LIPS, RIGHT_LIDS, LEFT_LIDS)
 """The rims of mouth and eyes, rings of face points from corner to corner and back."""
+DOWNWARDS = (
+    1,
+    -1,
+    -1,
+)  # from the first half of each ring to the second: lips from the upper one, lids from the lower
 LEAST_GAP = (
     0.06  # of a gap in the reference, that a closing rim keeps; a cell of less than .05 counts as folded
 )
@@ -80,27 +85,34 @@ class Rims:
         return out
 
     def parted(self, points: Points) -> Points:
-        """Return face points (478, 2) px whose opposite rims are at least `LEAST_GAP` of the reference's gap apart.
+        """Return face points (478, 2) px whose opposite rims are at least `LEAST_GAP` of the reference's gap apart."""
+        return _parted(points, self.points, LEAST_GAP)
 
-        Gaps are measured along those of the reference; points that are too near or have changed sides move apart by
-        equal parts.
-        """
-        out = np.array(points)
-        for ring in OPENINGS:
-            half = len(ring) // 2
-            one, other = list(ring[1:half]), list(ring[:half:-1])
-            gap = self.points[other] - self.points[one]
-            length = np.maximum(np.hypot(*gap.T), np.finfo(float).tiny)[:, None]
-            along = gap / length
-            short = LEAST_GAP * length - ((out[other] - out[one]) * along).sum(axis=1, keepdims=True)
-            step = np.maximum(short, 0) / 2 * along
-            out[one] -= step
-            out[other] += step
-        return out
+
+def _parted(points: Points, reference: Points, share: float) -> Points:
+    """Move opposite points of the rims apart to a share of their gap in the reference, and never below 0.
+
+    Gaps are measured down the reference's face, at a right angle to the line through the eyes. Points that are too
+    near, or have changed sides, move by equal parts.
+    """
+    across = reference[LEFT_LIDS[0]] - reference[RIGHT_LIDS[0]]
+    down = np.array([-across[1], across[0]]) / max(float(np.hypot(*across)), np.finfo(float).tiny)
+    out = np.array(points)
+    for ring, sign in zip(OPENINGS, DOWNWARDS, strict=True):
+        half = len(ring) // 2
+        one, other = list(ring[1:half]), list(ring[:half:-1])
+        wanted = share * np.maximum((reference[other] - reference[one]) @ (sign * down), 0)
+        short = np.maximum(wanted - (out[other] - out[one]) @ (sign * down), 0)
+        step = np.outer(short / 2, sign * down)
+        out[one] -= step
+        out[other] += step
+    return out
 
 
 def rims_of(points: Points, height: int, width: int) -> Rims:
     """Find the pixels of a picture inside the triangles of the face `points` (478, 2) px.
+
+    Rims that cross, as the points of closed lips may, are first laid on each other.
 
     Examples
     --------
@@ -111,6 +123,7 @@ def rims_of(points: Points, height: int, width: int) -> Rims:
     >>> sorted({*rims_of(places, 10, 12).rows.tolist()})
     [0, 4, 5, 6]
     """
+    points = _parted(points, points, 0)
     owner = np.full((height, width), -1)
     held = np.zeros((height, width, 3))
     for number, triangle in enumerate(TRIANGLES):

@@ -37,7 +37,7 @@ from morphspace.grid import warp
 from morphspace.model.work_frames import FramePlan, read_points, read_work_frame
 from morphspace.steps import Step, Steps, in_order
 
-CARRIED_FORMAT = "morphspace-carried-1"
+CARRIED_FORMAT = "morphspace-carried-2"
 THIRDS = 3  # every third point of a feature is left out; all are, in turn
 FRAMES = 9  # frames that are estimated again, three for each third: 4 % of the time of a build of 72 frames
 # The rings of the `FEATURES`.

@@ -33,7 +33,7 @@ from morphspace.steps import Step, Steps, in_order
 from morphspace.storage import digest_of_array
 
 FRAME_FORMAT = "morphspace-work-frame-4"
-FLOW_VERSION = 10  # increase it when a flow method changes its field: old results are then not reused
+FLOW_VERSION = 11  # increase it when a flow method changes its field: old results are then not reused
 
 FrameStart = Literal["coarse to fine", "neighbour"]
 

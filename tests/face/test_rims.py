@@ -11,15 +11,18 @@ SIZE = (80, 64)
 
 
 def face(opening=6.0, lids=5.0):
-    """478 points, px, of which lips and lids lie on ellipses, from corner to corner along the upper side and back."""
+    """478 points, px, of which lips and lids lie on ellipses.
+
+    Lips run from the picture's left along the upper side and back, lids from the outer corner along the lower side.
+    """
     points = np.zeros((POINT_COUNT, 2))
-    for ring, middle, radii in (
-        (OUTER_LIPS, (32, 58), (14, 4 + opening / 2)),
-        (INNER_LIPS, (32, 58), (10, opening / 2)),
-        (RIGHT_LIDS, (20, 30), (7, lids / 2)),
-        (LEFT_LIDS, (44, 30), (7, lids / 2)),
+    for ring, middle, radii, start, sense in (
+        (OUTER_LIPS, (32, 58), (14, 4 + opening / 2), np.pi, 1),
+        (INNER_LIPS, (32, 58), (10, opening / 2), np.pi, 1),
+        (RIGHT_LIDS, (20, 30), (7, lids / 2), np.pi, -1),
+        (LEFT_LIDS, (44, 30), (7, lids / 2), 0, 1),
     ):
-        turn = np.pi + 2 * np.pi * np.arange(len(ring)) / len(ring)
+        turn = start + sense * 2 * np.pi * np.arange(len(ring)) / len(ring)
         points[list(ring)] = np.array(middle) + np.array(radii) * np.column_stack(
             [np.cos(turn), np.sin(turn)]
         )
@@ -78,6 +81,24 @@ def test_closed_rims_keep_a_little_of_their_gap_and_their_order():
         assert_allclose(parted[list(OUTER_LIPS)], shut[list(OUTER_LIPS)])
         field = RIMS.filled(np.zeros((*SIZE, 2), np.float32), parted)
         assert areas(field).min() > 0.04
+
+
+def test_lips_that_cross_in_the_reference_still_open():
+    """The points of closed lips cross by tenths of a px."""
+    rims = rims_of(face(opening=-0.2, lids=-0.1), *SIZE)
+    wide = face(opening=20.0)
+    assert_allclose(rims.parted(wide), wide)
+    crossed = rims.parted(face(opening=-3.0))
+    half = len(INNER_LIPS) // 2
+    gap = crossed[list(INNER_LIPS[:half:-1])] - crossed[list(INNER_LIPS[1:half])]
+    assert_allclose(gap[:, 1], 0, atol=1e-9)
+
+
+def test_a_tilted_face_parts_along_itself():
+    turn = np.array([[np.cos(0.5), -np.sin(0.5)], [np.sin(0.5), np.cos(0.5)]])
+    rims = rims_of(face() @ turn.T + (20, 0), 120, 120)
+    shut = rims.parted(face(opening=-4.0, lids=-3.0) @ turn.T + (20, 0))
+    assert_allclose((shut - (20, 0)) @ turn, RIMS.parted(face(opening=-4.0, lids=-3.0)), atol=1e-6)
 
 
 def test_open_rims_stay_as_they_are():
