@@ -21,7 +21,16 @@ from scipy import ndimage
 from morphspace.arrays import AnyArray, Displacement, Image, Mask, Points
 from morphspace.errors import BadInput
 from morphspace.face.faceframe import FaceFrame
-from morphspace.face.mesh import FACE_OUTLINE, LEFT_BROW, RIGHT_BROW, FacePoints, landmark_places
+from morphspace.face.mesh import (
+    FACE_OUTLINE,
+    INNER_LIPS,
+    LEFT_BROW,
+    LEFT_LIDS,
+    RIGHT_BROW,
+    RIGHT_LIDS,
+    FacePoints,
+    landmark_places,
+)
 from morphspace.flow.baselines import LUMA
 from morphspace.grid import warp
 
@@ -263,6 +272,24 @@ def inside_outline(points: Points, height: int, width: int) -> Mask:
     # Beyond the picture there is face: a chin that touches the edge keeps its mask there.
     smaller = cv2.erode(outline, _disc(INSIDE_OUTLINE * width), borderType=cv2.BORDER_REPLICATE)
     return _blurred(smaller, OUTLINE_EDGE * width)
+
+
+def inside_openings(points: Points, height: int, width: int) -> Mask:
+    """Draw a mask (h, w) of what lies between the lips and between the lids of a face `points` (478, 2) px.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> turn = np.linspace(0, 2 * np.pi, 20, endpoint=False)
+    >>> points = np.zeros((478, 2))
+    >>> points[list(INNER_LIPS)] = np.array([30, 50]) + 8 * np.column_stack([np.cos(turn), np.sin(turn)])
+    >>> mask = inside_openings(points, 72, 60)
+    >>> mask[50, 30].item(), mask[30, 30].item()
+    (1.0, 0.0)
+    """
+    rings = (INNER_LIPS, RIGHT_LIDS, LEFT_LIDS)
+    out: Mask = np.maximum.reduce([_polygon(points[list(ring)], height, width) for ring in rings])
+    return out
 
 
 def skin_share(points: Points, texture: Image, mask: Mask) -> Mask:

@@ -38,6 +38,7 @@ from morphspace.model.work_frames import FramePlan, read_points, read_work_frame
 from morphspace.steps import Step, Steps, in_order
 
 CARRIED_FORMAT = "morphspace-carried-2"
+HARDLY_MOVES = 0.02  # eye distances; of less motion, much is the detector's noise
 THIRDS = 3  # every third point of a feature is left out; all are, in turn
 FRAMES = 9  # frames that are estimated again, three for each third: 4 % of the time of a build of 72 frames
 # The rings of the `FEATURES`.
@@ -82,6 +83,20 @@ class Carried:
         }
 
 
+def held_words(provenance: Mapping[str, Any]) -> str:
+    """Say by the provenance of a model whether its flow is held to face points, and in how many frames.
+
+    Examples
+    --------
+    >>> held_words({"landmarks": {"held": True, "frames": 24, "frames_with_face": 20}})
+    'the flow is held to the face in 20 of 24 frames'
+    """
+    searched = provenance.get("landmarks") or {}
+    if not searched.get("held"):
+        return "the flow is not held to a face"
+    return f"the flow is held to the face in {searched['frames_with_face']} of {searched['frames']} frames"
+
+
 def quality_lines(provenance: Mapping[str, Any]) -> tuple[str, ...]:
     """Describe by its provenance how well a model reconstructs frames left out, and how much its warp carries.
 
@@ -100,9 +115,10 @@ def quality_lines(provenance: Mapping[str, Any]) -> tuple[str, ...]:
     entry = (provenance.get("landmarks") or {}).get("carried")
     if entry is None:
         return lines
+    still = {name: " (hardly moves)" for name in FEATURES if entry["motion"][name] < HARDLY_MOVES}
     left, slopes, openings = (
-        ", ".join(f"{name} {value:.2f}" for name, value in entry[kind].items())
-        for kind in ("left_over", "slope", "opening_slope")
+        ", ".join(f"{name} {entry[kind][name]:.2f}{still.get(name, '')}" for name in names)
+        for kind, names in (("left_over", FEATURES), ("slope", FEATURES), ("opening_slope", APERTURES))
     )
     return (
         *lines,

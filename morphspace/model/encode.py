@@ -29,6 +29,7 @@ ENLARGED_MUCH = 2.5
 # Energy outside the model's space over its training variance: .2 for held-out frames of the same recording, 2.6 to 26
 # for other people and for the same person on another day.
 STRANGE = 1.0
+LOST_NAMED = 3  # frames without a face that a note names
 
 
 def _check_components(components: int | None) -> None:
@@ -76,6 +77,11 @@ class EncodedFrame:
     frame: Frame
     morph: Morph
     loadings: Loadings
+
+    @property
+    def lost(self) -> tuple[str, ...]:
+        """The frame's name if its face was searched and not found, so that its flow is not held; else empty."""
+        return (self.frame.name,) if self.frame.points is not None and not len(self.frame.points) else ()
 
 
 def framed_for(
@@ -307,6 +313,20 @@ def notes_on_own(own: tuple[bool, ...]) -> tuple[str, ...]:
     """Report the number of frames that were not aligned because the model rendered them; `own` as from `drawn_by`."""
     count = sum(own)
     return (f"{count} frames were rendered by this model and are not aligned",) if count else ()
+
+
+def notes_on_lost(lost: Sequence[str], frames: int) -> tuple[str, ...]:
+    """Report in one line the frames without a face (`EncodedFrame.lost`), of so many.
+
+    Examples
+    --------
+    >>> notes_on_lost(["0003", "0007"], 24)
+    ('no face was found in 2 of 24 frames (0003, 0007): their flow is not held to it',)
+    """
+    shown = ", ".join(lost[:LOST_NAMED]) + (", ..." if len(lost) > LOST_NAMED else "")
+    if not lost:
+        return ()
+    return (f"no face was found in {len(lost)} of {frames} frames ({shown}): their flow is not held to it",)
 
 
 def joined(model: MorphModel, parts: list[Loadings]) -> Loadings:

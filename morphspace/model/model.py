@@ -377,7 +377,9 @@ class MorphModel:
     @cached_property
     def revealed(self) -> Revealed:
         """How the colours of mouth and eyes follow a warp that the texture does not share."""
-        return learn_revealed(self.expand, self.training.values)
+        found = self.provenance.get("keypoints") or {}
+        points = np.array(found["points"]) if found.get("points") and found.get("scheme") == SCHEME else None
+        return learn_revealed(self.expand, self.training.values, points)
 
     def render(self, loadings: AnyArray | Loadings) -> Image:
         """Draw the face of raw loadings (j,), or of `Loadings` of one face, as a picture (h, w, 3).

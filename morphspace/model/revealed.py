@@ -2,8 +2,8 @@
 
 The mean texture shows what most frames show. Where most frames have closed lips, the place of teeth has the colour of
 lips, and a warp that opens the mean mouth shows skin. So the colour of such a place follows how far the warp opens it.
-It is regressed on the place's area in the training faces, at places that some of them press to a line. Elsewhere a warp
-changes no colour.
+It is regressed on the place's area in the training faces, at places that some of them press to a line; between the rims
+of mouth and eyes alone, if the model has face points. Elsewhere a warp changes no colour.
 
 A face whose texture and warp have the same loadings is not changed: its texture shows what its warp reveals. Drawings
 with a warp of their own (`caricature --texture-gain 0`, `sweep --warp-only`) differ from it by the regression.
@@ -17,7 +17,8 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from morphspace.arrays import Displacement, Image, LoadingTable, LoadingVector, Mask
+from morphspace.arrays import Displacement, Image, LoadingTable, LoadingVector, Mask, Points
+from morphspace.face.regions import inside_openings
 from morphspace.grid import warp
 from morphspace.model.morph import Morph
 from morphspace.steps import spread
@@ -29,6 +30,9 @@ HIDDEN_AREA = (
 )
 RIDGE = 0.02  # px^4, added to the variance of the area
 EDGE_PX = 1.0  # px, SD of the soft edge of such places
+AREA_SD_PX = (
+    1.5  # px; areas are those of surroundings, since held fields have one area in each triangle of a mouth
+)
 FACES = 100  # training faces in the regression, evenly spread
 LEAST_FACES = 8  # with fewer, as in pairs of people, area and colour go together by chance
 
@@ -72,7 +76,9 @@ class Revealed:
         return np.clip(_areas(displacement), self.least, self.most)
 
 
-def learn_revealed(expand: Callable[[LoadingVector], Morph], training: LoadingTable) -> Revealed:
+def learn_revealed(
+    expand: Callable[[LoadingVector], Morph], training: LoadingTable, points: Points | None = None
+) -> Revealed:
     """Regress the colours of a model's training faces on their areas; memory does not grow with the faces.
 
     Parameters
@@ -81,6 +87,8 @@ def learn_revealed(expand: Callable[[LoadingVector], Morph], training: LoadingTa
         From raw loadings (k,) to the morph of a face.
     training : array (n, k)
         Raw loadings of the training faces.
+    points : array (478, 2) px, optional
+        The face on the mean face; None if unknown.
 
     Returns
     -------
@@ -113,6 +121,8 @@ def learn_revealed(expand: Callable[[LoadingVector], Morph], training: LoadingTa
     covariance = product_sum / count - mean_area[..., None] * colour_sum / count
     variance = square_sum / count - mean_area**2 + RIDGE
     hides = np.clip(2 * (1 - least / HIDDEN_AREA), 0, 1).astype(np.float32)
+    if points is not None:
+        hides *= inside_openings(points, height, width)
     hides = cv2.GaussianBlur(hides, (0, 0), EDGE_PX, borderType=cv2.BORDER_REPLICATE)
     return Revealed((covariance * (hides / variance)[..., None]).astype(np.float32), least, most)
 
@@ -120,5 +130,6 @@ def learn_revealed(expand: Callable[[LoadingVector], Morph], training: LoadingTa
 def _areas(displacement: Displacement) -> Mask:
     """Return the area (h, w) px^2 that each place of 1 px^2 takes in the frame, from 0 to `MOST_AREA`."""
     cells = np.clip(warp.determinants(displacement), 0, np.float32(MOST_AREA))
-    areas: Mask = cv2.copyMakeBorder(cells, 0, 1, 0, 1, cv2.BORDER_REPLICATE)
-    return areas
+    areas = cv2.copyMakeBorder(cells, 0, 1, 0, 1, cv2.BORDER_REPLICATE)
+    smooth: Mask = cv2.GaussianBlur(areas, (0, 0), AREA_SD_PX, borderType=cv2.BORDER_REPLICATE)
+    return smooth

@@ -15,7 +15,7 @@ from morphspace.io.framing import FramedClip
 from morphspace.io.images import picture_names, write_image
 from morphspace.io.tables import write_metrics_table
 from morphspace.linear.quality import psnr_db, rms_px, ssim
-from morphspace.model.encode import encoded_frames, joined
+from morphspace.model.encode import encoded_frames, joined, notes_on_lost
 from morphspace.model.loadings import Loadings
 from morphspace.model.model import MorphModel
 from morphspace.report import pictures
@@ -36,11 +36,12 @@ UNDEFINED_DB = 120.0  # dB, the PSNR of equal pictures
 
 @dataclass(frozen=True, eq=False)
 class Reconstruction:
-    """The reconstruction of a clip: `figures` by name with a value a frame, `loadings`, and the `files` written."""
+    """The reconstruction of a clip: `figures` by name with a value a frame, `loadings`, `files` written and `notes`."""
 
     figures: dict[str, list[object]]
     loadings: Loadings
     files: tuple[Path, ...]
+    notes: tuple[str, ...]
 
     @property
     def psnr_db(self) -> AnyArray:
@@ -88,6 +89,7 @@ def written_reconstruction(
     files_of = dict(zip(source.names, picture_names(source.names), strict=True))
     shown = set(spread(len(source.names), SHEET_FRAMES))
     parts: list[Loadings] = []
+    lost: list[str] = []
     written: list[Path] = []
     pairs: list[tuple[str, Image]] = []
     for encoded, original in zip(encoded_frames(model, source), source.clip.images(), strict=True):
@@ -113,13 +115,15 @@ def written_reconstruction(
         for column, value in zip(names, row, strict=True):
             figures[column].append(value)
         parts.append(encoded.loadings)
+        lost += encoded.lost
         yield Step("reconstruct", len(parts), len(source.names))
     write_metrics_table(folder / METRICS_NAME, figures)
     write_image(folder / SHEET_NAME, _sheet([picture for _, picture in pairs]))
-    made = Reconstruction(figures, joined(whole, parts), tuple(written))
+    notes = (*notes, *notes_on_lost(lost, len(parts)))
+    made = Reconstruction(figures, joined(whole, parts), tuple(written), notes)
     write_text(folder / PAGE_NAME, _page(made, model, source.clip.name, pairs, notes))
     files = (*written, *(folder / name for name in (METRICS_NAME, SHEET_NAME, PAGE_NAME)))
-    return Reconstruction(figures, made.loadings, files)
+    return Reconstruction(figures, made.loadings, files, notes)
 
 
 def _sheet(pairs: Sequence[Image]) -> Image:

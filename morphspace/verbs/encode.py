@@ -55,6 +55,7 @@ def run(request: EncodeRequest) -> Steps[Outcome]:
         joined,
         morph_files,
         notes_on_frames,
+        notes_on_lost,
         notes_on_own,
         write_morph,
     )
@@ -70,6 +71,7 @@ def run(request: EncodeRequest) -> Steps[Outcome]:
     check_file(request.output, ".csv")
     sidecar = request.output.with_suffix(".json")
     parts: list[Loadings] = []
+    lost: list[str] = []
     own = drawn_by(model, source)
     inputs = dict(zip(source.names, source.file_digests, strict=True))
     files, given = list(source.clip.paths), framed_points(request.landmarks, source)
@@ -88,6 +90,7 @@ def run(request: EncodeRequest) -> Steps[Outcome]:
             guards.enter_context(writing(output))
         for place, encoded in enumerate(encoded_frames(model, source, own, given)):
             parts.append(encoded.loadings)
+            lost += encoded.lost
             if pairs:
                 write_morph(encoded.morph, *pairs[place])
             yield Step("encode", len(parts), len(source.names))
@@ -111,7 +114,7 @@ def run(request: EncodeRequest) -> Steps[Outcome]:
         "furthest_sd": furthest,
     }
     notes = notes_on_frames(source, model.identity)
-    notes += notes_on_own(own)
+    notes += notes_on_own(own) + notes_on_lost(lost, len(parts))
     return Outcome(lines, document, notes, (*written, *chain(*pairs)))
 
 

@@ -68,7 +68,7 @@ def _blend_lines(model: MorphModel) -> tuple[str, ...]:
 def run(request: InfoRequest) -> Steps[Outcome]:
     """Read the model, check its digest, and describe it."""
     from morphspace.face.track import turn_words
-    from morphspace.model.carried import quality_lines
+    from morphspace.model.carried import held_words, quality_lines
     from morphspace.model.keypoints import how_to_learn
     from morphspace.model.landmarks import error_summary
     from morphspace.model.model import load_model, points_document
@@ -96,6 +96,7 @@ def run(request: InfoRequest) -> Steps[Outcome]:
             ", ".join(f"{share:.1%}" for share in shares[:LISTED_COMPONENTS])
             or "none: the frames do not differ"
         ),
+        f"hold       {held_words(origin)}",
         *(f"quality    {line}" for line in quality_lines(origin)),
         f"consent    {origin.get('consent') or 'not recorded'}",
         f"licence    {origin.get('licence') or 'not recorded'}",

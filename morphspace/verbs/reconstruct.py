@@ -89,4 +89,4 @@ def run(request: ReconstructRequest) -> Steps[Outcome]:
         "psnr_db_median": median,
         "psnr_db_10th_percentile": low,
     }
-    return Outcome(lines, document, notes, (*written, record))
+    return Outcome(lines, document, made.notes, (*written, record))

@@ -29,6 +29,7 @@ from morphspace.face.detector.models import (
     IRIS,
     MESH,
     check_models,
+    damaged_models,
     models_folder,
     models_present,
 )
@@ -195,7 +196,10 @@ def detector_for(landmarks: str, person: Person = "largest") -> tuple[Detector |
     if landmarks == "none":
         return None, ()
     detector = load_detector(person=person) if models_present() else None
-    return detector, () if detector is not None else (WITHOUT_POINTS,)
+    if detector is not None:
+        return detector, ()
+    damaged = damaged_models()
+    return None, (f"{' and '.join(damaged)} is damaged: {WITHOUT_POINTS}" if damaged else WITHOUT_POINTS,)
 
 
 def _find_face(pool: NetworkPool, person: Person, image: Image) -> FacePoints | None:

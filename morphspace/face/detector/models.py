@@ -184,9 +184,14 @@ def check_models(folder: Path) -> None:
             )
 
 
+def damaged_models() -> list[str]:
+    """Return the names of installed networks whose content is not that of their digest."""
+    return [file.name for file in FILES if state_of(file, models_folder()) == "damaged"]
+
+
 def how_to_get_networks() -> str:
     """Return the remedy for missing or damaged networks."""
-    damaged = [file.name for file in FILES if state_of(file, models_folder()) == "damaged"]
+    damaged = damaged_models()
     if damaged:
         return f"run `{FETCH_COMMAND}` again: {' and '.join(damaged)} is damaged"
     return f"run `{FETCH_COMMAND}` once"

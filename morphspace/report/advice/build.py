@@ -15,6 +15,7 @@ import numpy as np
 from morphspace.arrays import Affine, AnyArray
 from morphspace.face.mesh import APERTURES, FEATURES, MAX_TURN_DEG
 from morphspace.flow.baselines import LUMA
+from morphspace.model.carried import HARDLY_MOVES
 from morphspace.model.passes import Build
 from morphspace.report.frames import FrameFigures
 
@@ -34,7 +35,6 @@ FOLD_SHARE = 0.01  # of the cells inside the mask; folds this large are seen as 
 CONFIDENCE_LOW = 0.5  # mean inside the mask; below it more of the face is filled in than was found
 # On eight `tune` people features that move by .02 eye distances or more leave over .03 to .5 and have slopes from .9,
 # but for the brows of one (.79, .49). Openings have slopes from .81; .35 where an earlier field painted a wide mouth.
-CARRIED_MOTION = 0.02  # eye distances; of less, much is the detector's noise
 CARRIED_LEFT, CARRIED_SLOPE = 0.6, 0.6  # of a feature's motion; the warp then misses about half of it
 PSNR_LOW_DB = 30.0  # below it a rebuilt frame visibly differs from the original
 PSNR_MANY = 0.25  # of the frames; when so many are poor it is the model, not the frames
@@ -262,7 +262,7 @@ def _painted_motion(case: Case) -> Iterator[str]:
     carried = case.build.carried
     if carried is None:
         return
-    moves = carried.motion >= CARRIED_MOTION
+    moves = carried.motion >= HARDLY_MOVES
     missed = moves & (carried.left_over > CARRIED_LEFT) & (carried.slopes < CARRIED_SLOPE)
     words = [
         f"{FEATURES[row]} (left over {carried.left_over[row]:.2f}, slope {carried.slopes[row]:.2f})"
