@@ -23,8 +23,8 @@ from morphspace.grid import warp
 from morphspace.model.morph import Morph
 from morphspace.steps import spread
 
-# Chosen on lp_d18, lp_d13 by the colours inside opened lips and by the look of teeth and closed lips.
-MOST_AREA = 2.0  # px^2 of a place of 1 px^2; wider mouths show no more, with 4 teeth break into dots
+# Chosen on lp_d18, lp_d13, lp_d6 by the colours inside opened lips and by the look of teeth and closed lips.
+MOST_AREA = 4.0  # px^2 of a place of 1 px^2; with 2 wide mouths stay pale, with 8 they look as with 4
 HIDDEN_AREA = (
     0.35  # px^2; places that no training face presses below it are skin, whose creases stay as they are
 )

@@ -90,6 +90,10 @@ def test_without_the_detectors_files_a_build_says_in_one_line_how_to_get_better(
     (note,) = notes
     assert "morphspace models fetch" in note and "\n" not in note
     assert detector_for("none") == (None, ())
+    (tmp_path / "empty").mkdir()
+    (tmp_path / "empty" / "iris_landmark.tflite").write_bytes(b"cut short")
+    (damaged,) = detector_for("auto")[1]
+    assert damaged == f"iris_landmark.tflite is damaged: {note}"
     with pytest.raises(BadInput, match=r"landmarks is 'yes'; expected one of auto, none"):
         detector_for("yes")
 

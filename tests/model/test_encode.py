@@ -5,8 +5,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from morphspace.face.faceframe import Frame
 from morphspace.io.images import write_image
-from morphspace.model.encode import encoded_frames, energy_outside, framed_for, rows_of_build
+from morphspace.model.encode import (
+    EncodedFrame,
+    encoded_frames,
+    energy_outside,
+    framed_for,
+    notes_on_lost,
+    rows_of_build,
+)
 from morphspace.model.loadings import Loadings
 from morphspace.model.model import MorphModel
 from morphspace.model.morph import MorphOffset
@@ -24,6 +32,19 @@ def test_energy_outside_is_what_the_components_leave(model):
     energy = (model.basis.weight * values * values).sum()
     variance = model.basis.variances.sum() + model.basis.discarded_variance
     assert energy_outside(stranger, model) == pytest.approx(energy / variance, rel=1e-4)
+
+
+def test_a_frame_without_a_face_is_lost_and_one_that_nobody_searched_is_not(model):
+    picture = model.render(model.training.values[0])
+
+    def lost(points):
+        frame = Frame(picture, "a", np.eye(2, 3), points)
+        return EncodedFrame(frame, model.mean, model.training[0]).lost
+
+    assert lost(np.zeros((0, 2))) == ("a",)
+    assert lost(None) == lost(np.zeros((478, 2))) == ()
+    assert "in 5 of 9 frames (a, b, c, ...)" in notes_on_lost(list("abcde"), 9)[0]
+    assert notes_on_lost([], 9) == ()
 
 
 def test_a_frame_of_the_build_is_refined_from_what_the_build_found(model, tmp_path, monkeypatch):
