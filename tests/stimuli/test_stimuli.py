@@ -8,6 +8,7 @@ import pytest
 
 from morphspace.errors import BadInput
 from morphspace.face.faceframe import FaceFrame
+from morphspace.model import revealed as revealed_module
 from morphspace.sets.stimulus_set import notes_on
 from morphspace.stimuli.caricature import caricatured, components_named
 from morphspace.stimuli.drawing import Drawing, Placing, check_name, drawing_of
@@ -56,7 +57,9 @@ def test_a_drawing_goes_through_json_bit_equal():
     assert back.placing.registrations.tobytes() == placing.registrations.tobytes()
 
 
-def test_shape_and_colour_may_have_loadings_of_their_own(model):
+def test_shape_and_colour_may_have_loadings_of_their_own(model, monkeypatch):
+    monkeypatch.setattr(revealed_module, "HIDDEN_AREA", 2.0)  # px^2; the drawn mouth hides nothing
+    model = replace(model)  # which has not yet learned what is revealed
     drawing = Drawing("a", LOADINGS[:1], LOADINGS[1:])
     morph = _morph_at(model, drawing, 0, None)
     shape, colour = model.expand(LOADINGS[0] * model.sd), model.expand(LOADINGS[1] * model.sd)
