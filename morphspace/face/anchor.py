@@ -50,7 +50,8 @@ from morphspace.steps import single_threads
 
 # Mesh points between the rings of lids, lips and outline.
 CHEEKS_AND_CHIN = (50, 280, 205, 425, 199, 200)
-# Mesh points of the spline: lids, brows, lips, outline and nose. The mesh between them follows its neighbours.
+# Mesh points that hold the flow: lids, brows, lips, outline and nose. The mesh between them follows its neighbours.
+# The spline goes through all but the inner lips, from which the field is linear (`face.rims`).
 HELD = tuple(
     sorted(
         {*RIGHT_LIDS, *LEFT_LIDS, *RIGHT_BROW, *LEFT_BROW, *LIPS, *FACE_OUTLINE, *RIGID_POINTS, PHILTRUM}

@@ -3,7 +3,7 @@
 An opening mouth tears apart what lies between the lips, and a blink presses an eye to a line. A smooth spline through
 both rims overshoots beyond them and folds lips and skin. So a spline ends at the outer rim of the lips and at the lids.
 Inside, triangles between the points of both rims move with their corners. A closing rim keeps a little of its width, so
-that no triangle turns over.
+that no triangle of an opening turns over; folds of lips are smoothed like those of the spline.
 """
 
 from __future__ import annotations
@@ -146,7 +146,8 @@ def rims_of(points: Points, height: int, width: int) -> Rims:
 def completed(points: Points, reference: Points, known: Collection[int]) -> Points:
     """Return face points (478, 2) px whose unknown points of lips and lids move as the mean of their neighbours.
 
-    `known` are points of the mesh. The neighbours are those on the same rim; `reference` is where they start.
+    `known` are points of the mesh; two neighbours on a rim must not both be unknown. The neighbours are those on the
+    same rim; `reference` is where they start.
     """
     moves = points - reference
     out = moves.copy()
