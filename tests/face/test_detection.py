@@ -3,7 +3,9 @@
 The slow tests need the networks: `morphspace models fetch` once. Without them they fail, they are not skipped.
 """
 
+import time
 from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
 from types import SimpleNamespace
 
 import cv2
@@ -25,6 +27,7 @@ from morphspace.face.detector.boxes import (
 )
 from morphspace.face.detector.crops import Crop, along, whole_image
 from morphspace.face.detector.detect import EYES, LID_ORDER, _crop_of_box, _find_boxes
+from morphspace.face.detector.networks import read_network
 from morphspace.face.mesh import (
     LEFT_BROW,
     LEFT_IRIS,
@@ -260,6 +263,22 @@ def test_lid_order_runs_round_the_eye():
 
 
 # Without the networks
+
+
+def test_networks_are_read_one_at_a_time(monkeypatch):
+    """OpenCV fills its table of operators without a lock."""
+    reading, most = [], []
+
+    def read(path, engine):
+        reading.append(path)
+        time.sleep(0.01)
+        most.append(len(reading))
+        reading.remove(path)
+
+    monkeypatch.setattr(cv2.dnn, "readNetFromTFLite", read)
+    with ThreadPoolExecutor(4) as pool:
+        list(pool.map(lambda number: read_network(Path(f"{number}.tflite"), ()), range(6)))
+    assert most == [1] * 6
 
 
 def test_missing_networks_name_the_command_that_brings_them(tmp_path):

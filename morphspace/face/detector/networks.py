@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
+from threading import Lock
 from typing import Any
 
 import cv2
@@ -12,6 +13,9 @@ import numpy as np
 from morphspace.arrays import AnyArray, Image
 from morphspace.face.detector.models import FETCH_COMMAND, MissingModels
 
+# OpenCV fills its table of operators at the first network, without a lock: a thread that reads another one meanwhile
+# finds operators missing.
+_ONE_AT_A_TIME = Lock()
 CLASSIC_ENGINE = 1  # OpenCV 5's other engine returns only the last output of these networks
 
 
@@ -35,7 +39,8 @@ class Network:
 def read_network(path: Path, outputs: tuple[str, ...]) -> Network:
     """Read a network and name its outputs. Raises `MissingModels` if OpenCV cannot read the file."""
     try:
-        return Network(cv2.dnn.readNetFromTFLite(str(path), engine=CLASSIC_ENGINE), outputs)
+        with _ONE_AT_A_TIME:
+            return Network(cv2.dnn.readNetFromTFLite(str(path), engine=CLASSIC_ENGINE), outputs)
     except cv2.error as error:
         raise MissingModels(
             f"OpenCV {cv2.__version__} cannot read {path}; expected a TFLite network. Run `{FETCH_COMMAND}` again"
