@@ -13,7 +13,7 @@ Bookstein, Principal warps: thin-plate splines and the decomposition of deformat
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from math import ceil
@@ -82,14 +82,15 @@ class FaceAnchor:
     face: FacePoints
 
     def held(
-        self, find: FlowFunction, height: int, width: int, holding: Sequence[int] = HELD
+        self, find: FlowFunction, height: int, width: int, holding: Collection[int] = HELD
     ) -> Callable[[Frame], Flow]:
         """Return a function that estimates the flow to an aligned frame, held to the face points of the frame.
 
         `find` estimates the remainder; it gets a frame without a face unchanged. The `holding` points of the mesh
         hold the flow. The face is searched in a frame whose points are None.
         """
-        places = [place for place in holding if place not in INNER_LIPS]
+        known = frozenset(holding)
+        places = sorted(known.difference(INNER_LIPS))
         through = spline_from(self.face.points[places], height, width)
         rims = rims_of(self.face.points, height, width)
         eyes_px = self.face.interocular_px
@@ -103,7 +104,7 @@ class FaceAnchor:
             points = points_of(self.detector(frame.image)) if frame.points is None else frame.points
             if not len(points):
                 return find(frame.image, None)
-            points = rims.parted(completed(points, self.face.points, holding))
+            points = rims.parted(completed(points, self.face.points, known))
             # Points of a turned head may change sides.
             spline = unfolded(rims.filled(near * through(points[places]), points))
             rest = find(warp.sample(frame.image, spline), None)

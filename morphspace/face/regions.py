@@ -23,14 +23,12 @@ from morphspace.errors import BadInput
 from morphspace.face.faceframe import FaceFrame
 from morphspace.face.mesh import (
     FACE_OUTLINE,
-    INNER_LIPS,
     LEFT_BROW,
-    LEFT_LIDS,
     RIGHT_BROW,
-    RIGHT_LIDS,
     FacePoints,
     landmark_places,
 )
+from morphspace.face.rims import OPENINGS
 from morphspace.flow.baselines import LUMA
 from morphspace.grid import warp
 
@@ -282,13 +280,12 @@ def inside_openings(points: Points, height: int, width: int) -> Mask:
     >>> import numpy as np
     >>> turn = np.linspace(0, 2 * np.pi, 20, endpoint=False)
     >>> points = np.zeros((478, 2))
-    >>> points[list(INNER_LIPS)] = np.array([30, 50]) + 8 * np.column_stack([np.cos(turn), np.sin(turn)])
+    >>> points[list(OPENINGS[0])] = np.array([30, 50]) + 8 * np.column_stack([np.cos(turn), np.sin(turn)])
     >>> mask = inside_openings(points, 72, 60)
     >>> mask[50, 30].item(), mask[30, 30].item()
     (1.0, 0.0)
     """
-    rings = (INNER_LIPS, RIGHT_LIDS, LEFT_LIDS)
-    out: Mask = np.maximum.reduce([_polygon(points[list(ring)], height, width) for ring in rings])
+    out: Mask = np.maximum.reduce([_polygon(points[list(ring)], height, width) for ring in OPENINGS])
     return out
 
 

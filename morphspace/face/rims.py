@@ -18,14 +18,10 @@ from morphspace.face.mesh import INNER_LIPS, LEFT_LIDS, OUTER_LIPS, RIGHT_LIDS
 
 OPENINGS = (INNER_LIPS, RIGHT_LIDS, LEFT_LIDS)
 """The rims of mouth and eyes, rings of face points from corner to corner and back."""
-DOWNWARDS = (
-    1,
-    -1,
-    -1,
-)  # from the first half of each ring to the second: lips from the upper one, lids from the lower
-LEAST_GAP = (
-    0.06  # of a gap in the reference, that a closing rim keeps; a cell of less than .05 counts as folded
-)
+# Whether the second half of each ring lies below the first: lips begin with the upper one, lids with the lower.
+DOWNWARDS = (1, -1, -1)
+# Of a gap in the reference, that a closing rim keeps. A cell of less than .05 counts as folded.
+LEAST_GAP = 0.06
 LEAST_AREA_PX2 = 1e-3  # px^2, twice a triangle's area; smaller ones cover no pixel
 
 Triangle = tuple[int, int, int]

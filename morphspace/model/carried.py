@@ -62,6 +62,8 @@ class Carried:
     motion : array (4,), eye distances
         The motion of each feature, rms; a left over of 1 of hardly any motion is the detector's noise.
     frames : int
+    openings : array (2,)
+        Slopes of the `APERTURES`.
     """
 
     left_over: AnyArray
@@ -178,7 +180,7 @@ def carried_steps(plan: FramePlan, files: Sequence[Path]) -> Steps[Carried | Non
     find = methods.for_morphs(plan.flow)(plan.reference)
     height, width = plan.mask.shape
     through = [
-        anchor.held(find, height, width, [place for place in HELD if place not in left_out(third)])
+        anchor.held(find, height, width, frozenset(HELD).difference(left_out(third)))
         for third in range(THIRDS)
     ]
 

@@ -57,6 +57,8 @@ def morphs_and_images(
     """
     mask = _mask_of(model, drawing)
     count = len(drawing.loadings_sd)
+    if drawing.colour_sd is not None:
+        _ = model.revealed  # learned once, before the threads start
     if drawing.placing is not None and originals is None:
         raise BadInput(
             f"{drawing.name} has no original frames; expected those into which it is placed. Give them"

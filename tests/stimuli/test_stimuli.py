@@ -1,6 +1,7 @@
 """Laws of drawings, caricatures, regions and plausibility; truth is algebra on a model whose morphs are known."""
 
 import json
+import time
 from dataclasses import replace
 
 import numpy as np
@@ -8,11 +9,12 @@ import pytest
 
 from morphspace.errors import BadInput
 from morphspace.face.faceframe import FaceFrame
+from morphspace.model import model as model_module
 from morphspace.model import revealed as revealed_module
 from morphspace.sets.stimulus_set import notes_on
 from morphspace.stimuli.caricature import caricatured, components_named
 from morphspace.stimuli.drawing import Drawing, Placing, check_name, drawing_of
-from morphspace.stimuli.drawn import _mask_of, _morph_at, draw
+from morphspace.stimuli.drawn import _mask_of, _morph_at, draw, morphs_and_images
 from morphspace.stimuli.plausibility import plausibility, plausible_limits_sd
 from morphspace.stimuli.sampling import drawn_sd
 from morphspace.verbs import sample
@@ -69,6 +71,21 @@ def test_shape_and_colour_may_have_loadings_of_their_own(model, monkeypatch):
     np.testing.assert_allclose(morph.texture, colour.texture + revealed, atol=1e-6)
     same = _morph_at(model, Drawing("a", LOADINGS[:1], LOADINGS[:1]), 0, None)
     np.testing.assert_allclose(same.displacement, shape.displacement, atol=1e-5)
+
+
+def test_what_is_revealed_is_learned_once_for_all_workers(model, monkeypatch):
+    learned, original = [], model_module.learn_revealed
+
+    def learn(*given):
+        learned.append(1)
+        time.sleep(0.05)  # s, in which other threads would begin too
+        return original(*given)
+
+    monkeypatch.setattr(model_module, "learn_revealed", learn)
+    rows = np.repeat(LOADINGS, 4, axis=0)
+    drawing = Drawing("a", rows, 0 * rows, frame_rate_hz=25.0, suffix=".mkv")
+    assert len(list(morphs_and_images(replace(model), drawing, None, 4))) == 8
+    assert learned == [1]
 
 
 def test_a_region_is_inside_inside_and_outside_outside(marked):
